@@ -1,0 +1,1 @@
+"""What leaves: densities, isosurfaces, meshes, files."""

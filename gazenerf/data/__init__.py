@@ -1,0 +1,1 @@
+"""Captures: pictures of heads with masks, depth, camera, gaze and codes."""

@@ -1,0 +1,1 @@
+"""The measurements of the paper and of this project."""

@@ -1,0 +1,1 @@
+"""The two-stream field and everything a bound head can be asked."""

@@ -1,0 +1,1 @@
+"""Parametric heads with true eyeballs."""

@@ -1,0 +1,61 @@
+"""What any parametric head offers: a mesh in the world frame from codes and a gaze."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from gazenerf.geometry import Gaze
+from gazenerf.subjects import Codes
+
+FACE, EYE_LEFT, EYE_RIGHT = 0, 1, 2
+"""Values of `HeadMesh.face_part`. Left and right are the subject's own."""
+
+
+@dataclass(frozen=True)
+class HeadMesh:
+    """A head with true eyeballs, posed, in the world frame and units (see docs/conventions.md).
+
+    Attributes:
+        vertices: (V, 3) float32.
+        faces: (F, 3) int32, counter-clockwise seen from outside. Parts share no vertices.
+        face_part: (F,) uint8: FACE, EYE_LEFT or EYE_RIGHT.
+        normals: (V, 3) float32 unit, outward.
+        albedo: (V, 3) float32 linear RGB in [0, 1].
+        landmarks: Name to (3,); the 68 standard ones are "0".."67", plus "iris_left", "iris_right".
+        eye_centres: (2, 3) centres of rotation, left then right (the subject's).
+        eye_radius: World units.
+        metres_per_unit: Size of a world unit.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    face_part: np.ndarray
+    normals: np.ndarray
+    albedo: np.ndarray
+    landmarks: dict[str, np.ndarray]
+    eye_centres: np.ndarray
+    eye_radius: float
+    metres_per_unit: float = 0.1
+
+    def part_faces(self, *parts: int) -> np.ndarray:
+        """(F', 3) the faces of some parts, indices into all vertices."""
+        return self.faces[np.isin(self.face_part, parts)]
+
+
+class HeadModel(Protocol):
+    """A parametric head.
+
+    Attributes:
+        code_sizes: (identity, expression, texture, illumination).
+        name: Names the model in files.
+    """
+
+    code_sizes: tuple[int, int, int, int]
+    name: str
+
+    def mesh(self, codes: Codes, gaze: Gaze) -> HeadMesh:
+        """The posed head; lids follow the gaze."""
+        ...

@@ -1,0 +1,147 @@
+"""A subject: the codes that make a field show one person, and where those codes came from."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save_file
+
+from gazenerf.errors import UserError
+from gazenerf.files import whole_file
+from gazenerf.geometry import Camera, Gaze
+
+FORMAT = "gazenerf-subject-1"
+MAX_SUBJECT_BYTES = 16 * 2**20
+
+
+@dataclass(frozen=True)
+class Codes:
+    """The paper's four latent codes (Sec. 3.2), each a float32 vector.
+
+    Attributes:
+        identity: Shape code.
+        expression: Expression code.
+        texture: Albedo code.
+        illumination: 27 spherical-harmonic coefficients, 9 per band order times RGB: entry 3k + c
+            is coefficient k of channel c.
+    """
+
+    identity: np.ndarray
+    expression: np.ndarray
+    texture: np.ndarray
+    illumination: np.ndarray
+
+    def __post_init__(self) -> None:
+        for name in ("identity", "expression", "texture", "illumination"):
+            value = np.ascontiguousarray(getattr(self, name), dtype=np.float32).reshape(-1)
+            if not np.isfinite(value).all():
+                raise ValueError(f"the {name} code holds NaN or infinite values")
+            object.__setattr__(self, name, value)
+
+    @property
+    def sizes(self) -> tuple[int, int, int, int]:
+        """(identity, expression, texture, illumination)."""
+        return self.identity.size, self.expression.size, self.texture.size, self.illumination.size
+
+    @property
+    def shape_code(self) -> np.ndarray:
+        """Identity then expression, as the streams take it."""
+        return np.concatenate([self.identity, self.expression])
+
+    @property
+    def appearance_code(self) -> np.ndarray:
+        """Texture then illumination, as the feature branch takes it."""
+        return np.concatenate([self.texture, self.illumination])
+
+
+@dataclass(frozen=True)
+class Subject:
+    """One person as a field knows them.
+
+    Attributes:
+        name: Short name.
+        codes: What the field is conditioned on.
+        head: Head-model parameters of the same person, None when unknown. They may differ from
+            `codes`, which training or fitting may have moved.
+        camera: The camera the subject was seen from, None when unknown.
+        gaze: The gaze the subject was seen with, head frame.
+        provenance: Where it came from, JSON-able; `trained` says whether the field saw this person.
+    """
+
+    name: str
+    codes: Codes
+    head: Codes | None = None
+    camera: Camera | None = None
+    gaze: Gaze = field(default_factory=Gaze)
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+    def save(self, path: str | Path) -> None:
+        """Write one safetensors file with JSON metadata."""
+        tensors = {f"codes.{name}": getattr(self.codes, name) for name in _CODES}
+        if self.head is not None:
+            tensors |= {f"head.{name}": getattr(self.head, name) for name in _CODES}
+        about = {
+            "name": self.name,
+            "camera": None if self.camera is None else self.camera.to_dict(),
+            "gaze": [self.gaze.pitch, self.gaze.yaw],
+            "provenance": self.provenance,
+        }
+        with whole_file(path) as temporary:
+            save_file(tensors, temporary, metadata={"format": FORMAT, "subject": json.dumps(about)})
+
+    @classmethod
+    def load(cls, path: str | Path) -> Subject:
+        """Read a subject file.
+
+        Raises:
+            UserError: the file is missing, too large, damaged, or not a subject.
+        """
+        path = Path(path)
+        if not path.is_file():
+            raise UserError(f"no subject file at {path}; `gazenerf subjects` lists the bundled names")
+        if path.stat().st_size > MAX_SUBJECT_BYTES:
+            raise UserError(f"{path} is larger than a subject can be ({MAX_SUBJECT_BYTES >> 20} MiB)")
+        try:
+            with safe_open(path, framework="numpy") as file:
+                metadata = file.metadata() or {}
+                if metadata.get("format") != FORMAT:
+                    raise UserError(f"{path} is not a subject file (format {metadata.get('format')!r})")
+                keys = set(file.keys())
+                about = json.loads(metadata["subject"])
+                codes = Codes(*(file.get_tensor(f"codes.{name}") for name in _CODES))
+                head = Codes(*(file.get_tensor(f"head.{name}") for name in _CODES)) if "head.identity" in keys else None
+            camera = None if about["camera"] is None else Camera.from_dict(about["camera"])
+            pitch, yaw = (float(angle) for angle in about["gaze"])
+            return cls(str(about["name"]), codes, head, camera, Gaze(pitch, yaw), dict(about["provenance"]))
+        except (SafetensorError, OSError, KeyError, ValueError, TypeError) as error:
+            raise UserError(f"cannot read the subject {path}: {error}") from error
+
+
+_CODES = ("identity", "expression", "texture", "illumination")
+
+
+def bundled_subjects() -> dict[str, Path]:
+    """Name to file of the subjects that ship with the package."""
+    folder = Path(__file__).parent / "assets" / "subjects"
+    return {path.stem: path for path in sorted(folder.glob("*.safetensors"))}
+
+
+def load_subject(name_or_path: str | Path) -> Subject:
+    """A bundled subject by name, or any subject by file.
+
+    Raises:
+        UserError: neither a bundled name nor a readable subject file.
+    """
+    bundled = bundled_subjects()
+    if str(name_or_path) in bundled:
+        return Subject.load(bundled[str(name_or_path)])
+    path = Path(name_or_path)
+    if path.suffix != ".safetensors" and not path.exists():
+        names = ", ".join(bundled) or "none"
+        raise UserError(f"unknown subject {str(name_or_path)!r}; bundled: {names}; or give a .safetensors file")
+    return Subject.load(path)

@@ -1,0 +1,1 @@
+"""What is looked at: orbits, sweeps, panels, reference renders, consistency, report."""
