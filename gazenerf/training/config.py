@@ -1,0 +1,123 @@
+"""What a training run does, as data: losses, sampling, schedule. Presets are named."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """One training run. Weights of zero switch a term off.
+
+    Attributes:
+        field_preset: Name of the field's own preset (`gazenerf.field.config.PRESETS`).
+        field_overrides: Fields of `FieldConfig` that differ from the preset.
+        steps: Optimiser steps.
+        batch: Pictures a step.
+        learning_rate: Peak learning rate of Adam (paper Sec. 4.2: 1e-4, constant).
+        final_learning_rate: Where the cosine ends; equal to `learning_rate` keeps it constant.
+        warmup: Steps of linear warm-up.
+        shell: Half width, world units, of the shell of samples around the captured surface; None
+            samples the published slabs.
+        shell_samples: Samples a ray inside the shell.
+        shell_noise: Standard deviation of the shell's centre, world units, so that a field learns
+            to be queried around a surface it found itself.
+        reconstruction, perceptual, functional, disentanglement: The paper's lambdas (Sec. 4.2).
+        functional_content: Initial weight of the gaze term and its growth an epoch.
+        code_weights: w of identity, expression, texture, illumination in the disentanglement loss.
+        learn_codes: Learn per-picture offsets to the four codes.
+        learn_cameras: Learn per-picture Euler angles and translations of the camera.
+        depth, opacity, empty, eyeball: Geometry terms for captures that know depth and eyeballs.
+        background_weight: L1 outside the head mask (the paper has none).
+        eyes_weight: L1 inside the eye mask of the merged picture (the paper has none).
+        geometry_decay: Geometry weights end at this share of their start.
+        perceptual_backbone: `vgg16`, `alexnet` or `none`.
+        perceptual_start: Share of the steps before the perceptual term starts.
+        streams_every: The face-only picture is rendered every this many steps.
+        ema: Decay of the averaged weights that are saved; 0 saves the last ones.
+        gradient_clip: Largest gradient norm.
+        seed: Seeds everything; step s of a resumed run draws what step s of an unbroken one does.
+    """
+
+    field_preset: str = "small"
+    field_overrides: dict[str, Any] = dataclasses.field(default_factory=dict)
+    steps: int = 6000
+    batch: int = 2
+    learning_rate: float = 1e-3
+    final_learning_rate: float = 3e-5
+    warmup: int = 100
+    shell: float | None = 0.25
+    shell_samples: int = 12
+    shell_noise: float = 0.02
+    reconstruction: float = 1.0
+    perceptual: float = 0.0
+    functional: float = 0.0
+    disentanglement: float = 0.0
+    functional_content: float = 1e-3
+    code_weights: tuple[float, float, float, float] = (1e-3, 1.0, 1e-3, 1e-3)
+    learn_codes: bool = False
+    learn_cameras: bool = False
+    depth: float = 1.0
+    opacity: float = 0.2
+    empty: float = 0.02
+    eyeball: float = 0.02
+    background_weight: float = 0.5
+    eyes_weight: float = 1.0
+    geometry_decay: float = 0.3
+    perceptual_backbone: str = "none"
+    perceptual_start: float = 0.5
+    streams_every: int = 4
+    ema: float = 0.998
+    gradient_clip: float = 1.0
+    seed: int = 1
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return dataclasses.asdict(self)
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> TrainConfig:
+        """Read what `to_dict` wrote.
+
+        Raises:
+            ValueError: an unknown setting.
+        """
+        known = {item.name for item in dataclasses.fields(cls)}
+        if unknown := sorted(set(data) - known):
+            raise ValueError(f"unknown training settings: {', '.join(unknown)}")
+        values = dict(data)
+        if "code_weights" in values:
+            values["code_weights"] = tuple(values["code_weights"])
+        return cls(**values)
+
+
+PRESETS: dict[str, TrainConfig] = {
+    "small": TrainConfig(),
+    "tiny": TrainConfig(field_preset="tiny", steps=60, batch=1, shell_samples=8, warmup=10),
+    "paper": TrainConfig(
+        field_preset="paper",
+        steps=200_000,
+        learning_rate=1e-4,
+        final_learning_rate=1e-4,
+        warmup=0,
+        shell=None,
+        perceptual=1.0,
+        functional=1.0,
+        disentanglement=1.0,
+        learn_codes=True,
+        learn_cameras=True,
+        depth=0.0,
+        opacity=0.0,
+        empty=0.0,
+        eyeball=0.0,
+        background_weight=0.0,
+        eyes_weight=0.0,
+        perceptual_backbone="vgg16",
+        perceptual_start=0.0,
+        streams_every=1,
+        ema=0.0,
+    ),
+}
+"""`paper` follows Sec. 4.2; `small` is what the bundled field was trained with; `tiny` is for tests."""
