@@ -1,0 +1,254 @@
+"""The training loop: seeded by step, resumable after a kill with the same curve."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from PIL import Image
+
+from gazenerf.checkpoints import save_field
+from gazenerf.data.captures import Capture
+from gazenerf.errors import UserError
+from gazenerf.field.config import FieldConfig
+from gazenerf.field.model import TwoStreamField
+from gazenerf.files import whole_file
+from gazenerf.training.batches import BatchMaker
+from gazenerf.training.config import TrainConfig
+from gazenerf.training.forward import render_batch
+from gazenerf.training.objective import Objective, schedule
+from gazenerf.training.runtime import Runtime
+
+STATE = "state.pt"
+LOG = "log.jsonl"
+FIELD = "field.safetensors"
+
+
+@dataclass
+class Progress:
+    """What a callback is told after a step.
+
+    Attributes:
+        step, steps: Done and planned.
+        seconds: Since this process started stepping.
+        parts: Weighted parts of the loss.
+    """
+
+    step: int
+    steps: int
+    seconds: float
+    parts: dict[str, float]
+
+
+def trained_range(captures: Sequence[Capture]) -> tuple[float, float]:
+    """Largest |pitch| and |yaw| in degrees, rounded to a degree."""
+    gazes = np.array([capture.gaze.degrees for capture in captures])
+    pitch, yaw = np.abs(gazes).max(axis=0)
+    return float(np.round(pitch)), float(np.round(yaw))
+
+
+def train(
+    captures: Sequence[Capture],
+    field_config: FieldConfig,
+    config: TrainConfig,
+    out: str | Path,
+    *,
+    held_out: Sequence[Capture] = (),
+    eyeballs: Callable[[Capture], tuple[np.ndarray, float]] | None = None,
+    features: Callable[[torch.Tensor], list[torch.Tensor]] | None = None,
+    estimate_gaze: Callable[[torch.Tensor], torch.Tensor] | None = None,
+    runtime: Runtime | None = None,
+    resume: bool = False,
+    initial: TwoStreamField | None = None,
+    stop_after: float | None = None,
+    save_every: int = 250,
+    preview_every: int = 250,
+    about: dict[str, Any] | None = None,
+    on_step: Callable[[Progress], None] | None = None,
+) -> TwoStreamField:
+    """Train a field on captures and write it to `out`.
+
+    Writes `field.safetensors` (averaged weights), `state.pt` (to resume), `log.jsonl`, `previews/`.
+
+    Args:
+        captures: What to learn from.
+        field_config: The field; code sizes must be the captures'.
+        config: Losses, sampling, schedule.
+        held_out: Shown in previews and logged as PSNR, never learned from.
+        eyeballs: Capture to (eye centres, radius), for the eyeball term.
+        features, estimate_gaze: See `Objective`.
+        resume: Continue from `out/state.pt`.
+        initial: Start from this field's weights instead of fresh ones.
+        stop_after: Minutes after which to save and return early.
+        about: Provenance stored with the weights.
+        on_step: Called after every step.
+
+    Raises:
+        UserError: sizes do not match, nothing to resume, or the loss is not finite.
+    """
+    out = Path(out)
+    if not captures:
+        raise UserError("no captures to train on; make some with `gazenerf synthesize`")
+    sizes = (field_config.identity, field_config.expression, field_config.texture, field_config.illumination)
+    if captures[0].codes.sizes != sizes:
+        raise UserError(f"the captures' codes are {captures[0].codes.sizes}, the field's {sizes}")
+    if captures[0].image.shape[0] != field_config.image_size:
+        raise UserError(
+            f"the captures are {captures[0].image.shape[0]} px, the field renders {field_config.image_size} px; "
+            "synthesize at that size or choose another preset"
+        )
+    runtime = runtime or Runtime()
+    torch.manual_seed(config.seed)
+    field_config = replace(field_config, trained_gaze_range=trained_range(captures))
+    model = initial if initial is not None else TwoStreamField(field_config)
+    objective = Objective(model, config, len(captures), features, estimate_gaze)
+    optimizer = torch.optim.Adam(objective.parameters(), lr=config.learning_rate)
+    step, spent, average = 0, 0.0, None
+    if resume:
+        state = _read_state(out / STATE)
+        objective.load_state_dict(state["objective"])
+        optimizer.load_state_dict(state["optimizer"])
+        step, spent, average = int(state["step"]), float(state["seconds"]), state["average"]
+        _forget_after(out / LOG, step)
+    wrapped, optimizer = runtime.setup(objective, optimizer)
+    if config.ema and average is None:
+        average = {name: value.detach().float().clone() for name, value in model.state_dict().items()}
+    maker = BatchMaker(captures, field_config.feature_size, field_config.ray_offset, config.shell is None, eyeballs)
+    watch = BatchMaker(held_out, field_config.feature_size, field_config.ray_offset, config.shell is None)
+    per_step = config.batch * runtime.world
+    started = time.monotonic()
+    model.train()
+
+    def averaged() -> dict[str, torch.Tensor]:
+        return average if average is not None else model.state_dict()
+
+    def save() -> None:
+        if runtime.rank:
+            return
+        elapsed = spent + time.monotonic() - started
+        state = {
+            "objective": objective.state_dict(),
+            "optimizer": optimizer.state_dict(),
+            "average": average,
+            "step": step,
+            "seconds": elapsed,
+        }
+        with whole_file(out / STATE) as temporary:
+            torch.save(state, temporary)
+        best = TwoStreamField(field_config)
+        best.load_state_dict(averaged())
+        story = {"steps": step, "minutes": round(elapsed / 60, 1), "pictures": len(captures), **(about or {})}
+        save_field(best, out / FIELD, {**story, "training": config.to_dict()})
+
+    while step < config.steps:
+        torch.manual_seed(config.seed * 1_000_003 + step * 31 + runtime.rank)
+        epoch, indices = _draw(len(captures), per_step, step, config.seed)
+        mine = indices[runtime.rank * config.batch : (runtime.rank + 1) * config.batch]
+        rng = np.random.default_rng((config.seed, step, runtime.rank))
+        batch = maker.batch(mine, rng).to(runtime.device)
+        for group in optimizer.param_groups:
+            group["lr"] = schedule(config, step)
+        with runtime.autocast():
+            loss, parts = wrapped(batch, step, epoch)
+        if not torch.isfinite(loss):
+            raise UserError(f"the loss is not finite at step {step}; lower the learning rate and --resume")
+        optimizer.zero_grad(set_to_none=True)
+        runtime.backward(loss)
+        torch.nn.utils.clip_grad_norm_(objective.parameters(), config.gradient_clip)
+        optimizer.step()
+        step += 1
+        if average is not None:
+            decay = min(config.ema, (step + 1) / (step + 10))
+            with torch.no_grad():
+                for name, value in model.state_dict().items():
+                    average[name].lerp_(value.float(), 1.0 - decay)
+        seconds = time.monotonic() - started
+        values = {name: float(part.detach()) for name, part in parts.items()}
+        if runtime.rank == 0:
+            _append(out / LOG, {"step": step, "seconds": round(spent + seconds, 2), "epoch": epoch, **values})
+            if on_step is not None:
+                on_step(Progress(step, config.steps, seconds, values))
+            if len(held_out) and (step % preview_every == 0 or step == config.steps):
+                shown = TwoStreamField(field_config).to(runtime.device)
+                shown.load_state_dict(averaged())
+                psnr = _preview(shown, watch, config, runtime, out / "previews" / f"{step:06d}.png")
+                _append(out / LOG, {"step": step, "held_out_psnr": psnr})
+        if step % save_every == 0:
+            save()
+        if stop_after is not None and seconds > 60.0 * stop_after:
+            break
+    save()
+    model.load_state_dict(averaged())
+    return model.eval()
+
+
+def _draw(pictures: int, per_step: int, step: int, seed: int) -> tuple[int, list[int]]:
+    """Epoch and picture indices of a step: each epoch visits every picture once, in seeded order."""
+    first = step * per_step
+    chosen = []
+    for position in range(first, first + per_step):
+        epoch, place = divmod(position, pictures)
+        order = np.random.default_rng((seed, 7, epoch)).permutation(pictures)
+        chosen.append(int(order[place]))
+    return first // pictures, chosen
+
+
+def _read_state(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        raise UserError(f"nothing to resume: {path} is not there; train without --resume first")
+    try:
+        return torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:
+        raise UserError(f"cannot resume from {path}: {error}") from error
+
+
+def _append(path: Path, row: dict[str, Any]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a") as file:
+        file.write(json.dumps({key: round(v, 6) if isinstance(v, float) else v for key, v in row.items()}) + "\n")
+
+
+def _forget_after(path: Path, step: int) -> None:
+    """Drop the log's rows beyond a step, which a resumed run writes again."""
+    if path.is_file():
+        rows = [line for line in path.read_text().splitlines() if json.loads(line)["step"] <= step]
+        with whole_file(path) as temporary:
+            temporary.write_text("".join(f"{row}\n" for row in rows))
+
+
+@torch.no_grad()
+def _preview(
+    model: TwoStreamField, watch: BatchMaker, config: TrainConfig, runtime: Runtime, path: Path, count: int = 6
+) -> dict[str, float]:
+    """Write captured, merged and face-only pictures side by side; PSNR inside heads and eyes, dB."""
+    model.eval()
+    rows, head_error, eyes_error = [], [], []
+    chosen = np.linspace(0, len(watch) - 1, min(count, len(watch))).astype(int)
+    for index in chosen.tolist():
+        batch = watch.batch([index], np.random.default_rng(0)).to(runtime.device)
+        with runtime.autocast():
+            render = render_batch(
+                model, batch, shell=config.shell, samples=config.shell_samples, jitter=False, face_image=True,
+                geometry=False,
+            )  # fmt: skip
+        error = ((render.image - batch.image) ** 2).mean(1)
+        head_error.append(float(error[batch.parts > 0].mean()))
+        if bool((batch.parts >= 2).any()):
+            eyes_error.append(float(error[batch.parts >= 2].mean()))
+        tiles = [batch.image, render.image]
+        if render.face_image is not None:
+            tiles.append(render.face_image)
+        rows.append(torch.cat(tiles, dim=3)[0])
+    sheet = torch.cat(rows, dim=1).clamp(0, 1).permute(1, 2, 0).float().cpu().numpy()
+    with whole_file(path) as temporary:
+        Image.fromarray((sheet * 255 + 0.5).astype(np.uint8)).save(temporary)
+    psnr = {"head": -10.0 * float(np.log10(np.mean(head_error)))}
+    if eyes_error:
+        psnr["eyes"] = -10.0 * float(np.log10(np.mean(eyes_error)))
+    return {name: round(value, 2) for name, value in psnr.items()}

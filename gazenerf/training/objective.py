@@ -1,0 +1,181 @@
+"""The whole objective of one step: the paper's four losses and this project's geometry terms."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import torch
+from torch import nn
+
+from gazenerf.field.model import TwoStreamField
+from gazenerf.training.batches import Batch
+from gazenerf.training.config import TrainConfig
+from gazenerf.training.forward import TrainingRender, render_batch
+from gazenerf.training.losses import (
+    disentanglement_loss,
+    functional_weight,
+    gaze_loss,
+    perceptual_loss,
+    reconstruction_loss,
+)
+
+
+class Offsets(nn.Module):
+    """Learned per-picture offsets to codes and cameras, zero at the start (paper Sec. 3.2).
+
+    Attributes:
+        codes: One table for each of identity, expression, texture, illumination.
+        angles, shift: Camera corrections: Euler angles in radians about the camera's axes and a
+            translation in world units.
+    """
+
+    def __init__(self, pictures: int, code_sizes: tuple[int, int, int, int]) -> None:
+        super().__init__()
+        self.codes = nn.ParameterList([nn.Parameter(torch.zeros(pictures, size)) for size in code_sizes])
+        self.angles = nn.Parameter(torch.zeros(pictures, 3))
+        self.shift = nn.Parameter(torch.zeros(pictures, 3))
+
+    def move_rays(self, batch: Batch) -> Batch:
+        """The batch seen from the corrected cameras."""
+        angles, shift = self.angles[batch.index], self.shift[batch.index]
+        skew = torch.zeros(len(angles), 3, 3, device=angles.device)
+        skew[:, 0, 1], skew[:, 0, 2], skew[:, 1, 2] = -angles[:, 2], angles[:, 1], -angles[:, 0]
+        skew = skew - skew.transpose(1, 2)
+        rotation = torch.matrix_exp(skew)
+        return replace(
+            batch,
+            rays_o=batch.rays_o + shift[:, None],
+            rays_d=batch.rays_d @ rotation.transpose(1, 2),
+        )
+
+
+def schedule(config: TrainConfig, step: int) -> float:
+    """Learning rate at a step: linear warm-up, then a cosine to the final rate."""
+    if step < config.warmup:
+        return config.learning_rate * (step + 1) / config.warmup
+    share = min(1.0, (step - config.warmup) / max(1, config.steps - config.warmup))
+    low, high = config.final_learning_rate, config.learning_rate
+    return low + 0.5 * (high - low) * (1.0 + math.cos(math.pi * share))
+
+
+class Objective(nn.Module):
+    """Everything that is optimised, and the loss of a batch as its forward pass.
+
+    Args:
+        model: The field.
+        config: Weights and sampling.
+        pictures: How many captures there are, for the tables of offsets.
+        features: Pictures (B, 3, H, W) to a list of feature maps, for the perceptual loss.
+        estimate_gaze: Pictures (B, 3, H, W) to gaze (B, 2), for the functional loss.
+    """
+
+    def __init__(
+        self,
+        model: TwoStreamField,
+        config: TrainConfig,
+        pictures: int,
+        features: Callable[[torch.Tensor], list[torch.Tensor]] | None = None,
+        estimate_gaze: Callable[[torch.Tensor], torch.Tensor] | None = None,
+    ) -> None:
+        super().__init__()
+        self.model = model
+        self.config = config
+        field = model.config
+        self.offsets = (
+            Offsets(pictures, (field.identity, field.expression, field.texture, field.illumination))
+            if config.learn_codes or config.learn_cameras
+            else None
+        )
+        self._frozen = (features, estimate_gaze)
+
+    def forward(self, batch: Batch, step: int, epoch: int = 0) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+        """Loss and its named parts, each weighted as it enters the sum."""
+        config = self.config
+        moved = batch
+        parts: dict[str, torch.Tensor] = {}
+        if self.offsets is not None:
+            if config.learn_cameras:
+                moved = self.offsets.move_rays(moved)
+            if config.learn_codes:
+                deltas = [table[batch.index] for table in self.offsets.codes]
+                moved = replace(
+                    moved,
+                    shape_code=batch.shape_code + torch.cat(deltas[:2], dim=1),
+                    appearance_code=batch.appearance_code + torch.cat(deltas[2:], dim=1),
+                )
+                zeros = [torch.zeros_like(delta) for delta in deltas]
+                parts["disentanglement"] = config.disentanglement * disentanglement_loss(
+                    deltas, zeros, config.code_weights
+                )
+        progress = step / max(1, config.steps)
+        geometry = any((config.depth, config.opacity, config.empty, config.eyeball))
+        render = render_batch(
+            self.model,
+            moved,
+            shell=config.shell,
+            samples=config.shell_samples,
+            noise=config.shell_noise,
+            face_image=step % config.streams_every == 0,
+            geometry=geometry,
+        )
+        parts |= self._pictures(render, batch, progress, epoch)
+        if geometry:
+            fade = 1.0 - (1.0 - config.geometry_decay) * progress
+            weights = {
+                "depth": config.depth,
+                "opacity": config.opacity,
+                "empty": config.empty,
+                "eyeball": config.eyeball,
+            }
+            parts |= {name: fade * weights[name] * term for name, term in render.terms.items()}
+        return torch.stack(list(parts.values())).sum(), parts
+
+    def _pictures(
+        self, render: TrainingRender, batch: Batch, progress: float, epoch: int
+    ) -> dict[str, torch.Tensor]:
+        config = self.config
+        head = (batch.parts > 0)[:, None]
+        eyes = (batch.parts >= 2)[:, None]
+        face = (batch.parts == 1)[:, None]
+        parts = {"whole": config.reconstruction * reconstruction_loss(render.image, batch.image, head)}
+        if config.background_weight:
+            parts["background"] = config.background_weight * reconstruction_loss(render.image, batch.image, ~head)
+        if config.eyes_weight:
+            parts["eyes_merged"] = config.eyes_weight * reconstruction_loss(render.image, batch.image, eyes)
+        if render.face_image is not None:
+            parts["face"] = config.reconstruction * reconstruction_loss(render.face_image, batch.image, face)
+        target = masks = None
+        if render.eyes_image is not None:
+            target, masks = _crop(batch.image, render), _crop(eyes.float(), render) > 0.5
+            parts["eyes"] = config.reconstruction * reconstruction_loss(render.eyes_image, target, masks)
+        features, estimate_gaze = self._frozen
+        if config.perceptual and features is not None and progress >= config.perceptual_start:
+            pairs = [(render.image, head, batch.image)]
+            if render.face_image is not None:
+                pairs.append((render.face_image, face, batch.image))
+            if render.eyes_image is not None and target is not None and masks is not None:
+                pairs.append((render.eyes_image, masks, target))
+            parts["perceptual"] = config.perceptual * torch.stack(
+                [perceptual_loss(features, image * mask, wanted * mask) for image, mask, wanted in pairs]
+            ).sum()
+        if config.functional and estimate_gaze is not None:
+            weight = config.functional * functional_weight(epoch, config.functional_content)
+            parts["functional"] = weight * gaze_loss(estimate_gaze, render.image * head, batch.image * head)
+        return parts
+
+
+def _crop(images: torch.Tensor, render: TrainingRender) -> torch.Tensor:
+    """images (B, C, H, W) cut at each picture's eye window."""
+    assert render.eyes_image is not None
+    height, width = render.eyes_image.shape[-2:]
+    return torch.stack(
+        [
+            image[:, row : row + height, column : column + width]
+            for image, (row, column) in zip(images, render.eyes_window.tolist(), strict=True)
+        ]
+    )
+
+
+__all__ = ["Objective", "Offsets", "schedule"]
