@@ -1,0 +1,159 @@
+"""Frames to files: H.264 MP4, GIF, WebP, or a sequence of PNG pictures.
+
+Output appears whole or not at all. The kind follows from the name: `.mp4`, `.gif`, `.webp`, a
+pattern such as `frames/%04d.png`, or a folder (no suffix).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from gazenerf.errors import UserError
+from gazenerf.files import whole_file, whole_folder
+
+KINDS: tuple[str, ...] = (".mp4", ".gif", ".webp", ".png")
+GIF_FASTEST = 50.0
+"""Frames a second; players slow a GIF down beyond this."""
+
+MOST_FPS = 240.0
+_PATTERN = re.compile(r"^[^%]*%0?\d*d[^%]*$")
+
+
+def output_kind(path: str | Path) -> str:
+    """`.mp4`, `.gif`, `.webp`, or `.png` for a folder or numbered pattern.
+
+    Raises:
+        UserError: no such kind, or one `.png` name for many frames.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix == "":
+        return ".png"
+    if suffix not in KINDS:
+        raise UserError(f"cannot write {suffix} video; name --out .mp4, .gif, .webp, frames/%04d.png or a folder")
+    if suffix == ".png" and not _PATTERN.match(path.name):
+        raise UserError(f"{path.name} is one picture for many frames; use {path.stem}-%04d{path.suffix} or a folder")
+    return suffix
+
+
+def check_video(path: str | Path, width: int, height: int, fps: float) -> str:
+    """The kind of a file, if it can hold frames of this size and rate; call before rendering.
+
+    Raises:
+        UserError: unknown kind, H.264 of an odd size, a GIF beyond 50 or any video beyond 240 frames
+            a second.
+    """
+    kind = output_kind(path)
+    if kind == ".mp4" and (width % 2 or height % 2):
+        even = f"{width + width % 2}x{height + height % 2}"
+        raise UserError(f"H.264 needs an even size, got {width}x{height}; use {even}, or a .gif, .webp or PNG sequence")
+    fastest = GIF_FASTEST if kind == ".gif" else MOST_FPS
+    if not 0.0 < fps <= fastest:
+        raise UserError(f"{kind[1:]} takes frame rates above 0 up to {fastest:g}, got {fps:g}; change --fps")
+    return kind
+
+
+def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float = 25.0, crf: int = 17) -> list[Path]:
+    """Write frames as they come; nothing appears at `path` until all are written.
+
+    Args:
+        path: See the module's notes.
+        frames: (H, W, 3) uint8 sRGB, all of one size.
+        fps: Frames a second; PNG sequences have none.
+        crf: H.264 quality, 0 lossless to 51 worst.
+
+    Returns:
+        The files written.
+
+    Raises:
+        UserError: no frames, a size or rate the kind cannot hold, unwritable output, or no encoder.
+    """
+    path = Path(path)
+    kind = output_kind(path)
+    stream = iter(frames)
+    first = next(stream, None)
+    if first is None:
+        raise UserError("no frames to write; give --frames 1 or more")
+    height, width = first.shape[:2]
+    check_video(path, width, height, fps)
+    checked = _same_size(first, stream)
+    if kind == ".png":
+        return _write_png(path, checked)
+    with whole_file(path) as temporary:
+        if kind == ".mp4":
+            tags = ["-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709"]
+            matrix = ["-vf", "scale=out_color_matrix=bt709:out_range=tv"]
+            output = ["-crf", str(crf), "-preset", "slow", *matrix, *tags, "-movflags", "+faststart"]
+            _encode(temporary, checked, (width, height), fps, "libx264", "yuv420p", output)
+        elif kind == ".gif":
+            palette = "[0:v]split[a][b];[a]palettegen=stats_mode=full[p];[b][p]paletteuse=dither=sierra2_4a"
+            output = ["-filter_complex", f"{palette}:diff_mode=rectangle", "-loop", "0"]
+            _encode(temporary, checked, (width, height), fps, "gif", "pal8", output)
+        else:
+            _write_webp(temporary, checked, fps)
+    return [path]
+
+
+def _same_size(first: np.ndarray, rest: Iterator[np.ndarray]) -> Iterator[np.ndarray]:
+    yield np.ascontiguousarray(first)
+    for frame in rest:
+        if frame.shape != first.shape or frame.dtype != np.uint8:
+            raise ValueError(f"frames must be uint8 of one size, got {frame.dtype} {frame.shape} after {first.shape}")
+        yield np.ascontiguousarray(frame)
+
+
+def _encode(
+    path: Path,
+    frames: Iterator[np.ndarray],
+    size: tuple[int, int],
+    fps: float,
+    codec: str,
+    pixels: str,
+    output: list[str],
+) -> None:
+    import imageio_ffmpeg
+
+    try:
+        encoder = imageio_ffmpeg.write_frames(
+            str(path),
+            size,
+            fps=fps,  # pyright: ignore[reportArgumentType]  # the encoder takes fractions
+            codec=codec,
+            pix_fmt_out=pixels,
+            quality=None,  # pyright: ignore[reportArgumentType]  # crf says it
+            macro_block_size=1,
+            output_params=output,
+            ffmpeg_log_level="error",
+        )
+        encoder.send(None)
+    except RuntimeError as error:
+        raise UserError(f"no ffmpeg: {error}; `pip install imageio-ffmpeg`, or write .webp or PNG") from error
+    try:
+        for frame in frames:
+            encoder.send(frame)
+    finally:
+        encoder.close()
+    if path.stat().st_size == 0:
+        raise UserError(f"ffmpeg wrote nothing as {codec}; write .webp or a PNG sequence instead")
+
+
+def _write_webp(path: Path, frames: Iterator[np.ndarray], fps: float) -> None:
+    pictures = [Image.fromarray(frame) for frame in frames]
+    ends = np.round(1000.0 / fps * np.arange(len(pictures) + 1)).astype(int)
+    durations = np.diff(ends).tolist()
+    pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=durations, loop=0, quality=88, method=4)
+
+
+def _write_png(path: Path, frames: Iterator[np.ndarray]) -> list[Path]:
+    folder, pattern = (path.parent, path.name) if path.suffix else (path, "%04d.png")
+    names = []
+    with whole_folder(folder) as temporary:
+        for index, frame in enumerate(frames):
+            names.append(pattern % index)
+            Image.fromarray(frame).save(temporary / names[-1], compress_level=6)
+    return [folder / name for name in names]
