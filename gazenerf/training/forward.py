@@ -140,9 +140,7 @@ def render_batch(
     if config.merge == "joint":
         hidden_near = _pick(hidden_face, batch.eye_rays)
         rows = face.project((joint_face[..., None] * hidden_near).sum(2), joint_face.sum(-1)).float()
-        rows = rows + turned(
-            eyes.project((joint_eyes[..., None] * hidden_eyes).sum(2), joint_eyes.sum(-1)).float()
-        )
+        rows = rows + turned(eyes.project((joint_eyes[..., None] * hidden_eyes).sum(2), joint_eyes.sum(-1)).float())
         rows = rows + (1.0 - joint_opacity[..., None]) * _pick(background, eye_flat)
         merged = _put(face_map, eye_flat, rows)
     else:
@@ -171,9 +169,7 @@ def render_batch(
         terms["empty"] = _empty_term(model, batch, face_condition, eyes_condition)
         if batch.eye_centres is not None:
             terms["eyeball"] = _eyeball_term(model, batch, eyes_condition)
-    return TrainingRender(
-        picture(merged), eyes_picture, window, picture(face_map) if face_image else None, terms
-    )
+    return TrainingRender(picture(merged), eyes_picture, window, picture(face_map) if face_image else None, terms)
 
 
 def _empty_term(model: TwoStreamField, batch: Batch, face_condition, eyes_condition) -> torch.Tensor:

@@ -132,9 +132,7 @@ class Objective(nn.Module):
             parts |= {name: fade * weights[name] * term for name, term in render.terms.items()}
         return torch.stack(list(parts.values())).sum(), parts
 
-    def _pictures(
-        self, render: TrainingRender, batch: Batch, progress: float, epoch: int
-    ) -> dict[str, torch.Tensor]:
+    def _pictures(self, render: TrainingRender, batch: Batch, progress: float, epoch: int) -> dict[str, torch.Tensor]:
         config = self.config
         head = (batch.parts > 0)[:, None]
         eyes = (batch.parts >= 2)[:, None]
@@ -157,9 +155,12 @@ class Objective(nn.Module):
                 pairs.append((render.face_image, face, batch.image))
             if render.eyes_image is not None and target is not None and masks is not None:
                 pairs.append((render.eyes_image, masks, target))
-            parts["perceptual"] = config.perceptual * torch.stack(
-                [perceptual_loss(features, image * mask, wanted * mask) for image, mask, wanted in pairs]
-            ).sum()
+            parts["perceptual"] = (
+                config.perceptual
+                * torch.stack(
+                    [perceptual_loss(features, image * mask, wanted * mask) for image, mask, wanted in pairs]
+                ).sum()
+            )
         if config.functional and estimate_gaze is not None:
             weight = config.functional * functional_weight(epoch, config.functional_content)
             parts["functional"] = weight * gaze_loss(estimate_gaze, render.image * head, batch.image * head)

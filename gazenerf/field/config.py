@@ -1,0 +1,186 @@
+"""The sizes and choices that make a field, as data that travels with its weights."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+MAX_CHANNELS, MAX_SIZE, MAX_CODE, MAX_SAMPLES = 4096, 4096, 4096, 4096
+
+
+@dataclass(frozen=True)
+class FieldConfig:
+    """A field's architecture and conventions.
+
+    Attributes:
+        image_size, feature_size: Sides of picture and feature map in pixels; their ratio is a power of two.
+        feature_channels: Channels of the feature map, a multiple of 3 (it is rotated in groups of 3).
+        hidden: Width of the streams.
+        layers: Hidden layers of a stream.
+        skip_after: The input is concatenated again after this many layers.
+        frequencies: Octaves of the positional encoding.
+        samples: Samples a ray of the published slabs.
+        z_near, z_far: World z of the first and the last slab edge.
+        identity, expression, texture, illumination: Code sizes.
+        streams: `two` (face and eyes) or `one` (the vanilla ablations and HeadNeRF).
+        gaze_input: The streams see the gaze label.
+        eye_motion: `feature_rotation` (paper Sec. 3.2, "3D awareness") or `none`.
+        merge: `max` (paper Sec. 3.2, "Merging features") or `joint` (this project's: both densities
+            composited as one medium, so that lids occlude the eyes).
+        background: Initial background feature, `ones` (white) or `zeros` (black).
+        ray_offset: Ray i passes through feature coordinate i + this: 0.5 native, 0 published.
+        gaze_label_signs: What the streams' label is, as signs of (pitch up, yaw left).
+        initialisation: `he` or `default` (the framework's).
+        metres_per_unit: Size of a world unit.
+        sampler: How pictures are sampled: `slabs` (published) or `guided` (found surface, then a shell).
+        shell: Half width of the guided shell, world units; shell_samples: its samples a ray.
+        trained_gaze_range: Largest |pitch|, |yaw| in degrees seen in training, None when unknown.
+    """
+
+    image_size: int = 512
+    feature_size: int = 64
+    feature_channels: int = 258
+    hidden: int = 384
+    layers: int = 8
+    skip_after: int = 5
+    frequencies: int = 10
+    samples: int = 64
+    z_near: float = 2.5
+    z_far: float = -3.5
+    identity: int = 100
+    expression: int = 79
+    texture: int = 100
+    illumination: int = 27
+    streams: str = "two"
+    gaze_input: bool = True
+    eye_motion: str = "feature_rotation"
+    merge: str = "max"
+    background: str = "ones"
+    ray_offset: float = 0.5
+    gaze_label_signs: tuple[float, float] = (1.0, 1.0)
+    initialisation: str = "he"
+    metres_per_unit: float = 0.1
+    sampler: str = "slabs"
+    shell: float = 0.25
+    shell_samples: int = 12
+    trained_gaze_range: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        def need(condition: bool, message: str) -> None:
+            if not condition:
+                raise ValueError(message)
+
+        ratio = self.image_size / max(1, self.feature_size)
+        need(
+            0 < self.image_size <= MAX_SIZE and 0 < self.feature_size <= MAX_SIZE, "image or feature size out of range"
+        )
+        need(ratio >= 1 and float(ratio).is_integer() and (int(ratio) & (int(ratio) - 1)) == 0,
+             f"image_size / feature_size must be a power of two, got {ratio:g}")  # fmt: skip
+        need(0 < self.feature_channels <= MAX_CHANNELS, "feature_channels out of range")
+        need(0 < self.hidden <= MAX_CHANNELS and self.hidden % 2 == 0, "hidden must be even and in range")
+        need(0 < self.skip_after < self.layers <= 64, "skip_after must lie inside the layers")
+        need(0 < self.frequencies <= 32 and 1 < self.samples <= MAX_SAMPLES, "frequencies or samples out of range")
+        need(1 < self.shell_samples <= MAX_SAMPLES and self.shell > 0, "shell out of range")
+        need(self.z_near > self.z_far, "z_near must be above z_far")
+        for name in ("identity", "expression", "texture", "illumination"):
+            need(0 <= getattr(self, name) <= MAX_CODE, f"{name} code size out of range")
+        for name, choices in _CHOICES.items():
+            need(getattr(self, name) in choices, f"{name} must be one of {', '.join(choices)}")
+        need(self.eye_motion == "none" or self.feature_channels % 3 == 0, "rotated features come in groups of 3")
+        need(len(self.gaze_label_signs) == 2 and all(abs(s) == 1 for s in self.gaze_label_signs), "signs are +-1")
+
+    @property
+    def upsampling(self) -> int:
+        """Picture pixels a feature pixel."""
+        return self.image_size // self.feature_size
+
+    @property
+    def input_channels(self) -> int:
+        """Channels of a stream's input: encoding, shape code, gaze."""
+        return 3 + 6 * self.frequencies + self.identity + self.expression + (2 if self.gaze_input else 0)
+
+    @property
+    def code_sizes(self) -> tuple[int, int, int, int]:
+        """(identity, expression, texture, illumination)."""
+        return self.identity, self.expression, self.texture, self.illumination
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return dataclasses.asdict(self)
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> FieldConfig:
+        """Read what `to_dict` wrote.
+
+        Raises:
+            ValueError: unknown, missing or impossible values.
+        """
+        known = {item.name: item for item in dataclasses.fields(cls)}
+        if unknown := sorted(set(data) - set(known)):
+            raise ValueError(f"unknown field settings: {', '.join(unknown)}")
+        values: dict[str, Any] = {}
+        for name, value in data.items():
+            default = known[name].default
+            if isinstance(default, tuple) or name == "trained_gaze_range":
+                value = None if value is None else tuple(float(item) for item in value)
+            elif isinstance(default, bool):
+                value = bool(value)
+            elif isinstance(default, (int, float, str)):
+                if isinstance(default, str) != isinstance(value, str):
+                    raise ValueError(f"{name} has the wrong type")
+                value = type(default)(value)
+            values[name] = value
+        try:
+            return cls(**values)
+        except TypeError as error:
+            raise ValueError(str(error)) from error
+
+
+_CHOICES: dict[str, tuple[str, ...]] = {
+    "streams": ("two", "one"),
+    "eye_motion": ("feature_rotation", "none"),
+    "merge": ("max", "joint"),
+    "background": ("ones", "zeros"),
+    "initialisation": ("he", "default"),
+    "sampler": ("slabs", "guided"),
+}
+
+PAPER = FieldConfig()
+"""The published GazeNeRF at full size, with weights that learn from scratch."""
+
+PRESETS: dict[str, FieldConfig] = {
+    "paper": dataclasses.replace(PAPER, background="zeros"),
+    "small": FieldConfig(
+        image_size=256,
+        feature_channels=96,
+        hidden=256,
+        merge="joint",
+        background="zeros",
+        sampler="guided",
+    ),
+    "tiny": FieldConfig(
+        image_size=32,
+        feature_size=16,
+        feature_channels=24,
+        hidden=32,
+        frequencies=6,
+        samples=24,
+        merge="joint",
+        background="zeros",
+        sampler="guided",
+    ),
+    "headnerf": dataclasses.replace(
+        PAPER, feature_channels=256, streams="one", gaze_input=False, eye_motion="none", background="zeros"
+    ),
+}
+
+
+def ablations(base: FieldConfig) -> dict[str, FieldConfig]:
+    """The four fields of the paper's ablation (Sec. 4.5), as configurations of one base."""
+    return {
+        "vanilla": dataclasses.replace(base, streams="one", eye_motion="none"),
+        "vanilla+rotation": dataclasses.replace(base, streams="one", eye_motion="feature_rotation"),
+        "two-stream": dataclasses.replace(base, streams="two", eye_motion="none"),
+        "two-stream+rotation": dataclasses.replace(base, streams="two", eye_motion="feature_rotation"),
+    }

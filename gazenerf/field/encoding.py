@@ -1,0 +1,22 @@
+"""Positional encoding (paper Sec. 3.1)."""
+
+from __future__ import annotations
+
+import torch
+
+
+def positional_encoding(points: torch.Tensor, frequencies: int) -> torch.Tensor:
+    """Points and the sines and cosines of their octaves.
+
+    Args:
+        points: (..., 3).
+        frequencies: Octaves 2^0 .. 2^(frequencies - 1).
+
+    Returns:
+        (..., 3 + 6 * frequencies) float32: x, sin(f0 x), cos(f0 x), sin(f1 x), ...
+    """
+    points = points.float()
+    scale = 2.0 ** torch.arange(frequencies, device=points.device, dtype=points.dtype)
+    angles = points[..., None, :] * scale[:, None]
+    waves = torch.stack([angles.sin(), angles.cos()], dim=-2)
+    return torch.cat([points, waves.flatten(-3)], dim=-1)

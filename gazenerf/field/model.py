@@ -1,0 +1,129 @@
+"""The field: streams, the way their features meet, and the neural renderer."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import nn
+
+from gazenerf.field.compositing import composite, composite_joint
+from gazenerf.field.config import FieldConfig
+from gazenerf.field.eye_motion import EYE_MOTIONS
+from gazenerf.field.neural_renderer import NeuralRenderer
+from gazenerf.field.streams import Stream
+
+if TYPE_CHECKING:
+    from gazenerf.field.bound import BoundTwoStream
+    from gazenerf.geometry import Gaze
+    from gazenerf.subjects import Subject
+
+
+class TwoStreamField(nn.Module):
+    """GazeNeRF and its relatives: two streams or one, by configuration.
+
+    Attributes:
+        config: Sizes and conventions.
+        streams: `face` and `eyes`, or `head` alone.
+        renderer: Shared by all pictures.
+        about: Provenance stored with the weights, JSON-able.
+        weights_hash: Names the weights; empty for a field that was never saved.
+    """
+
+    def __init__(self, config: FieldConfig) -> None:
+        super().__init__()
+        self.config = config
+        names = ("face", "eyes") if config.streams == "two" else ("head",)
+        self.streams = nn.ModuleDict({name: Stream(config) for name in names})
+        self.renderer = NeuralRenderer(config)
+        self.about: dict[str, Any] = {}
+        self.weights_hash = ""
+
+    def stream(self, name: str) -> Stream:
+        """A stream by name."""
+        stream = self.streams[name]
+        assert isinstance(stream, Stream)
+        return stream
+
+    def label(self, gaze: torch.Tensor) -> torch.Tensor:
+        """Native gaze (..., 2) = (pitch up, yaw left) to what the streams' label means."""
+        return gaze * gaze.new_tensor(self.config.gaze_label_signs)
+
+    def move_eyes(self, features: torch.Tensor, label: torch.Tensor) -> torch.Tensor:
+        """Features (..., C) turned by the configured eye motion; label (..., 2) broadcasts."""
+        return EYE_MOTIONS[self.config.eye_motion](features, label)
+
+    def bind(self, subject: Subject, gaze: Gaze, **options: Any) -> BoundTwoStream:
+        """This field with a subject and a gaze fixed; see `BoundTwoStream` for the options."""
+        from gazenerf.field.bound import BoundTwoStream
+
+        return BoundTwoStream(self, subject, gaze, **options)
+
+    def render_reference(
+        self,
+        shape_code: torch.Tensor,
+        appearance_code: torch.Tensor,
+        gaze_label: torch.Tensor,
+        rotation: torch.Tensor,
+        position: torch.Tensor,
+        inv_intrinsics: torch.Tensor,
+    ) -> dict[str, torch.Tensor]:
+        """The published forward pass, line by line, slow.
+
+        Args:
+            shape_code, appearance_code, gaze_label: (B, .) as the network takes them.
+            rotation: (B, 3, 3) world from camera; position: (B, 3, 1) world units.
+            inv_intrinsics: (B, 3, 3) at feature-map resolution, for ray coordinates index + ray_offset.
+
+        Returns:
+            `image`, `image_background` and per stream `image_*` (B, 3, H, W), `background_alpha_*`,
+            `depth_*` (B, 1, S * S; the weighted sum of z displacement from the camera, not divided
+            by opacity), `density_*` (B, 1, rays, samples), `points` (B, 3, rays, samples). A joint
+            merge composites both densities as one medium.
+        """
+        config, size, batch = self.config, self.config.feature_size, shape_code.shape[0]
+        index = torch.arange(size, dtype=torch.float32) + config.ray_offset
+        rows, columns = torch.meshgrid(index, index, indexing="ij")
+        pixels = torch.stack([columns, rows, torch.ones_like(rows)]).reshape(1, 3, -1)
+        directions = rotation @ (inv_intrinsics @ pixels)
+        directions = directions / directions.norm(dim=1, keepdim=True)
+        edges = torch.linspace(config.z_near, config.z_far, config.samples + 1)
+        displacement = (edges - position[:, 2]).abs()[:, None, :]
+        along = displacement / directions[:, 2:].abs().transpose(1, 2)
+        deltas = along[..., 1:] - along[..., :-1]
+        points = position[..., None] + directions[..., None] * along[:, None, :, :-1]
+        samples = points.permute(0, 2, 3, 1)
+        background = self.renderer.background(size, size)
+        flat = background.flatten(2).transpose(1, 2)
+        out: dict[str, torch.Tensor] = {"points": points, "image_background": self.renderer(background)}
+        maps: dict[str, torch.Tensor] = {}
+        queried: dict[str, tuple[torch.Tensor, torch.Tensor]] = {}
+        for name in self.streams:
+            density, features = self.stream(name)(samples, shape_code, appearance_code, gaze_label)
+            weights, opacity = composite(density, deltas)
+            rendered = (weights[..., None] * features).sum(2) + (1.0 - opacity[..., None]) * flat
+            if name != "face":
+                rendered = self.move_eyes(rendered, gaze_label[:, None])
+            maps[name] = rendered
+            queried[name] = density, features
+            out[f"background_alpha_{name}"] = (1.0 - opacity)[:, None]
+            out[f"depth_{name}"] = (weights * displacement[..., :-1]).sum(-1)[:, None]
+            out[f"density_{name}"] = density[:, None]
+        if "head" in maps:
+            merged = maps["head"]
+        elif config.merge == "max":
+            merged = torch.maximum(maps["face"], maps["eyes"])
+        else:
+            (density_face, face), (density_eyes, eyes) = queried["face"], queried["eyes"]
+            w_face, w_eyes, opacity = composite_joint(density_face, density_eyes, deltas)
+            turned = self.move_eyes((w_eyes[..., None] * eyes).sum(2), gaze_label[:, None])
+            merged = (w_face[..., None] * face).sum(2) + turned + (1.0 - opacity[..., None]) * flat
+
+        def picture(rows: torch.Tensor) -> torch.Tensor:
+            return self.renderer(rows.transpose(1, 2).reshape(batch, -1, size, size))
+
+        out["image"] = picture(merged)
+        for name in maps:
+            if name != "head":
+                out[f"image_{name}"] = picture(maps[name])
+        return out

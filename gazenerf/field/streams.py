@@ -1,0 +1,161 @@
+"""One stream: a conditioned MLP from points to density and features (paper Sec. 3.2, "Two-stream MLPs").
+
+`forward` follows the paper line by line. `condition` and `query` compute the same with everything
+that is constant over an image folded into biases, and leave the last linear layer to `project`,
+after compositing, where it runs once a ray.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import nn
+
+from gazenerf.field.config import FieldConfig
+from gazenerf.field.encoding import positional_encoding
+
+
+@dataclass(frozen=True)
+class StreamCondition:
+    """Codes and gaze of B images, folded into a stream's layers.
+
+    Attributes:
+        first: (B, H) bias of the first layer.
+        skip: (B, H) bias of the layer after the skip.
+        feature_weight: (H/2, H) the feature branch's first two linear layers in one.
+        feature_bias: (B, H/2) their bias, with the appearance code.
+    """
+
+    first: torch.Tensor
+    skip: torch.Tensor
+    feature_weight: torch.Tensor
+    feature_bias: torch.Tensor
+
+
+class Stream(nn.Module):
+    """A radiance field of one part.
+
+    Args:
+        config: Sizes and initialisation.
+    """
+
+    def __init__(self, config: FieldConfig) -> None:
+        super().__init__()
+        self.config = config
+        width, inputs = config.hidden, config.input_channels
+        appearance = config.texture + config.illumination
+        self.trunk = nn.ModuleList(
+            nn.Linear(inputs if i == 0 else width + inputs if i == config.skip_after else width, width)
+            for i in range(config.layers)
+        )
+        self.density = nn.Linear(width, 1)
+        self.feature_0 = nn.Linear(width, width)
+        self.feature_1 = nn.Linear(width + appearance, width // 2)
+        self.feature_2 = nn.Linear(width // 2, config.feature_channels)
+        if config.initialisation == "he":
+            for module in self.modules():
+                if isinstance(module, nn.Linear):
+                    nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
+                    nn.init.zeros_(module.bias)
+
+    def _codes(self, shape_code: torch.Tensor, gaze_label: torch.Tensor) -> torch.Tensor:
+        return torch.cat([shape_code, gaze_label], dim=-1) if self.config.gaze_input else shape_code
+
+    def forward(
+        self,
+        points: torch.Tensor,
+        shape_code: torch.Tensor,
+        appearance_code: torch.Tensor,
+        gaze_label: torch.Tensor,
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """The slow reference.
+
+        Args:
+            points: (B, ..., 3) world units.
+            shape_code: (B, identity + expression); appearance_code: (B, texture + illumination).
+            gaze_label: (B, 2) as this stream's label means it.
+
+        Returns:
+            density (B, ...) >= 0 per world unit and features (B, ..., C).
+        """
+        middle = points.dim() - 2
+
+        def spread(code: torch.Tensor) -> torch.Tensor:
+            return code.reshape(code.shape[0], *(1,) * middle, -1).expand(*points.shape[:-1], -1)
+
+        inputs = torch.cat(
+            [positional_encoding(points, self.config.frequencies), spread(self._codes(shape_code, gaze_label))], dim=-1
+        )
+        hidden = inputs
+        for i, layer in enumerate(self.trunk):
+            if i == self.config.skip_after:
+                hidden = torch.cat([inputs, hidden], dim=-1)
+            hidden = F.relu(layer(hidden))
+        density = F.relu(self.density(hidden)).squeeze(-1)
+        feature = torch.cat([self.feature_0(hidden), spread(appearance_code)], dim=-1)
+        return density, self.feature_2(F.relu(self.feature_1(feature)))
+
+    def condition(
+        self, shape_code: torch.Tensor, appearance_code: torch.Tensor, gaze_label: torch.Tensor
+    ) -> StreamCondition:
+        """Fold codes (B, .) and gaze label (B, 2) into biases."""
+        codes = self._codes(shape_code, gaze_label)
+        encoded = 3 + 6 * self.config.frequencies
+        inputs, width = self.config.input_channels, self.config.hidden
+        first, skip = self.trunk[0], self.trunk[self.config.skip_after]
+        assert isinstance(first, nn.Linear) and isinstance(skip, nn.Linear)
+        with torch.autocast(shape_code.device.type, enabled=False):
+            mix = self.feature_1.weight[:, :width]
+            return StreamCondition(
+                first=F.linear(codes, first.weight[:, encoded:], first.bias),
+                skip=F.linear(codes, skip.weight[:, encoded:inputs], skip.bias),
+                feature_weight=mix @ self.feature_0.weight,
+                feature_bias=F.linear(appearance_code, self.feature_1.weight[:, width:], self.feature_1.bias)
+                + F.linear(self.feature_0.bias, mix),
+            )
+
+    def query(
+        self, points: torch.Tensor, condition: StreamCondition, features: bool = True
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Density and the hidden feature before the last linear layer.
+
+        Args:
+            points: (B, ..., 3).
+            condition: Of the same B.
+            features: Without, the second result is empty.
+
+        Returns:
+            density (B, ...) float32 and hidden feature (B, ..., H/2).
+        """
+        batch, rest = points.shape[0], points.shape[1:-1]
+        encoded = positional_encoding(points.reshape(batch, -1, 3), self.config.frequencies)
+        if torch.is_autocast_enabled(points.device.type):
+            encoded = encoded.to(torch.get_autocast_dtype(points.device.type))
+        channels, inputs = encoded.shape[-1], self.config.input_channels
+        hidden = encoded
+        for i, layer in enumerate(self.trunk):
+            assert isinstance(layer, nn.Linear)
+            if i == 0:
+                hidden = F.linear(encoded, layer.weight[:, :channels]) + _like(condition.first, encoded)
+            elif i == self.config.skip_after:
+                weight = torch.cat([layer.weight[:, :channels], layer.weight[:, inputs:]], dim=1)
+                hidden = F.linear(torch.cat([encoded, hidden], dim=-1), weight) + _like(condition.skip, encoded)
+            else:
+                hidden = layer(hidden)
+            hidden = F.relu(hidden, inplace=True)
+        density = F.relu(self.density(hidden).float()).reshape(batch, *rest)
+        if not features:
+            return density, hidden.new_empty(0)
+        feature = F.linear(hidden, condition.feature_weight) + _like(condition.feature_bias, encoded)
+        return density, F.relu(feature, inplace=True).reshape(batch, *rest, -1)
+
+    def project(self, composited: torch.Tensor, opacity: torch.Tensor) -> torch.Tensor:
+        """The last linear layer after compositing: (B, R, H/2) and opacity (B, R) to (B, R, C)."""
+        return F.linear(composited, self.feature_2.weight) + opacity[..., None] * self.feature_2.bias
+
+
+def _like(bias: torch.Tensor, reference: torch.Tensor) -> torch.Tensor:
+    """A per-image bias (B, H) ready to add to (B, N, H) in the reference's precision."""
+    return bias[:, None].to(reference.dtype)

@@ -1,0 +1,60 @@
+"""What a capture asks of a feature map."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gazenerf.training.batches import BatchMaker, ray_targets
+from gazenerf.training.split import is_held_out_view, split_captures
+
+
+def test_blocks_cover_the_head_and_know_its_distance(toy_captures):
+    capture = toy_captures[0]
+    target = ray_targets(capture, 16)
+    blocks = capture.parts.reshape(16, 2, 16, 2).transpose(0, 2, 1, 3).reshape(256, 4)
+    assert set(np.flatnonzero((blocks > 0).any(1))) == set(target.rays[target.has_surface].tolist())
+    assert target.face_coverage.sum() == pytest.approx((blocks == 1).mean(1).sum())
+    camera = capture.camera.resized(16)
+    rays_o, rays_d = camera.rays()
+    points = rays_o.reshape(-1, 3)[target.rays] + target.distance[:, None] * rays_d.reshape(-1, 3)[target.rays]
+    solid = target.face_coverage == 1
+    assert np.abs(np.linalg.norm(points[solid], axis=1) - 1.0).max() < 0.12
+    assert np.isfinite(target.distance).all()
+
+
+def test_eye_rays_are_positions_in_the_cast_rays(toy_captures):
+    target = ray_targets(toy_captures[0], 16)
+    assert target.eyes_coverage[target.eye_rays].sum() == pytest.approx(target.eyes_coverage.sum())
+    assert target.eye_rays.max() < target.rays.size
+
+
+def test_all_rays_casts_the_whole_map(toy_captures):
+    target = ray_targets(toy_captures[0], 16, all_rays=True)
+    assert target.rays.size == 256 and target.eye_rays.size == 256
+
+
+def test_a_picture_that_does_not_fit_the_map_is_refused(toy_captures):
+    with pytest.raises(ValueError, match="feature map"):
+        ray_targets(toy_captures[0], 15)
+
+
+def test_batches_pad_to_one_length_and_free_rays_stop_before_the_surface(toy_captures, toy_eyeballs):
+    maker = BatchMaker(toy_captures, 16, eyeballs=toy_eyeballs)
+    batch = maker.batch([0, 9], np.random.default_rng(0), free_rays=500)
+    assert batch.rays.shape == batch.valid.shape == batch.distance.shape
+    assert batch.valid.sum(1).tolist() == [maker.targets[0].rays.size, maker.targets[9].rays.size]
+    assert batch.eye_centres is not None and batch.eye_centres.shape == (2, 2, 3)
+    length = batch.free_d.norm(dim=-1)
+    assert float((length - 1).abs().max()) < 1e-5
+    ends = batch.rays_o[:, :1] + (batch.free_limit.clamp(max=20.0) - 0.1)[..., None] * batch.free_d
+    inside = (ends.norm(dim=-1) < 0.9) & batch.free_limit.isfinite()
+    assert not bool(inside.any())
+
+
+def test_the_split_keeps_the_last_people_and_some_views_out(toy_captures):
+    learned, kept = split_captures(toy_captures, 1, 0.25)
+    assert {capture.person for capture in learned} == {0}
+    assert {capture.view for capture in kept if capture.person == 0} == {3, 7}
+    assert not {(c.person, c.view) for c in learned} & {(c.person, c.view) for c in kept}
+    assert not is_held_out_view(5, 0.0)
