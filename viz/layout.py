@@ -35,7 +35,8 @@ def draw_label(image: np.ndarray, text: str) -> np.ndarray:
     picture = Image.fromarray(image)
     draw = ImageDraw.Draw(picture, "RGBA")
     font = _font(image.shape[0])
-    left, top, right, bottom = draw.textbbox((0, 0), text, font=font)
+    left, _, right, _ = draw.textbbox((0, 0), text, font=font)
+    _, top, _, bottom = draw.textbbox((0, 0), "Ap", font=font)
     pad = max(2, image.shape[0] // 80)
     x, y = pad, image.shape[0] - pad - (bottom - top) - 2 * pad
     draw.rectangle((x, y, x + right - left + 2 * pad, y + bottom - top + 2 * pad), fill=(0, 0, 0, 150))
@@ -106,7 +107,7 @@ def table(
     margin_x = int(max(measured.textlength(label, font=font) for label in row_labels)) + 12 + (line if row_title else 0)
     margin_y = line + 4 + (line if column_title else 0)
     total_width, total_height = grid_size(len(rows) * len(column_labels), width, height, len(column_labels))
-    canvas = Image.new("RGB", (margin_x + total_width, margin_y + total_height), PAPER)
+    canvas = Image.new("RGB", (margin_x + total_width + GAP, margin_y + total_height + GAP), PAPER)
     draw = ImageDraw.Draw(canvas)
     if column_title:
         draw.text((margin_x + total_width / 2, line / 2), column_title, font=font, fill=INK, anchor="mm")

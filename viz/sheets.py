@@ -18,8 +18,8 @@ Bind = Callable[[Gaze], BoundField]
 def gaze_grid(
     bind: Bind,
     camera: Camera,
-    pitches: Sequence[float],
-    yaws: Sequence[float],
+    pitches: Sequence[float] | np.ndarray,
+    yaws: Sequence[float] | np.ndarray,
     *,
     crop: tuple[int, int, int, int] | None = None,
     done: Callable[[], None] | None = None,
@@ -42,7 +42,7 @@ def gaze_grid(
     Raises:
         UserError: no pitches or no yaws.
     """
-    if not pitches or not yaws:
+    if len(pitches) == 0 or len(yaws) == 0:
         raise UserError("a gaze grid needs at least one pitch and one yaw")
     down, across = sorted(pitches, reverse=True), sorted(yaws)
     left, top, right, bottom = crop or (0, 0, camera.width, camera.height)
@@ -50,7 +50,7 @@ def gaze_grid(
     for pitch in down:
         row = []
         for yaw in across:
-            row.append(to_uint8(bind(Gaze(pitch, yaw)).render(camera).image)[top:bottom, left:right])
+            row.append(to_uint8(bind(Gaze(float(pitch), float(yaw))).render(camera).image)[top:bottom, left:right])
             if done is not None:
                 done()
         rows.append(row)

@@ -52,7 +52,7 @@ def test_label_text_is_legible():
 def test_tables_hold_every_picture_under_its_label():
     rows = [[flat(0.1), flat(0.2)], [flat(0.3), flat(0.4)], [flat(0.5), flat(0.6)]]
     canvas = table(rows, ["+10°", "0°", "-10°"], ["-20°", "+20°"], row_title="pitch", column_title="yaw")
-    left, top = canvas.shape[1] - (2 * 80 + GAP), canvas.shape[0] - (3 * 60 + 2 * GAP)
+    left, top = canvas.shape[1] - (2 * 80 + 2 * GAP), canvas.shape[0] - (3 * 60 + 3 * GAP)
     assert left > 20 and top > 20
     for i, row in enumerate(rows):
         for j, picture in enumerate(row):

@@ -24,8 +24,8 @@ class Flat:
 
 def tiles(sheet: np.ndarray, rows: int, columns: int, size: int = SIZE) -> np.ndarray:
     """(rows, columns, 3) colours at the tiles' centres."""
-    y = sheet.shape[0] - (rows * size + (rows - 1) * 4) + np.arange(rows) * (size + 4) + size // 2
-    x = sheet.shape[1] - (columns * size + (columns - 1) * 4) + np.arange(columns) * (size + 4) + size // 2
+    y = sheet.shape[0] - rows * (size + 4) + np.arange(rows) * (size + 4) + size // 2
+    x = sheet.shape[1] - columns * (size + 4) + np.arange(columns) * (size + 4) + size // 2
     return sheet[np.ix_(y, x)].astype(int)
 
 

@@ -1,0 +1,168 @@
+"""`gazenerf orbit`: a video that flies around a head while its eyes turn."""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+import numpy as np
+
+from gazenerf.errors import UserError
+from gazenerf.geometry import Camera, Gaze
+from gazenerf.geometry.keyframes import keyframe_path, read_keyframes
+from gazenerf.geometry.paths import CAMERA_PATHS, GAZE_PATHS, PUBLISHED_FRAMES, camera_path, gaze_path
+
+HELP = "render a video that flies around a head while its eyes turn"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    from gazenerf.cli.views import add_camera_arguments, add_scene_arguments
+    from viz.panels import PANELS
+
+    add_scene_arguments(parser, ".mp4, .gif, .webp, frames/%%04d.png, or a folder for numbered pictures")
+    eyes = parser.add_argument_group("eyes (degrees; pitch up, yaw to the subject's left)")
+    eyes.add_argument(
+        "--gaze",
+        nargs=2,
+        type=float,
+        action="append",
+        default=[],
+        metavar=("PITCH", "YAW"),
+        help="where the eyes look; repeat it for --gaze-path targets",
+    )
+    eyes.add_argument(
+        "--gaze-path",
+        metavar="NAME",
+        help=f"{', '.join(GAZE_PATHS)} (default: hold with one --gaze, targets with several, else look-at-camera)",
+    )
+    flight = add_camera_arguments(parser)
+    flight.add_argument(
+        "--camera-path",
+        default="horizontal",
+        metavar="NAME",
+        help=f"{', '.join(CAMERA_PATHS)}, or a .json file of keyframes (default: horizontal)",
+    )
+    flight.add_argument("--frames", type=int, metavar="N", help="number of frames (default: 90; 45 for circle)")
+    flight.add_argument(
+        "--sweep", type=float, metavar="DEG", help="largest yaw of horizontal (60) and figure-eight (45)"
+    )
+    flight.add_argument("--yaw", type=float, default=0.0, metavar="DEG", help="direction of still and dolly")
+    flight.add_argument(
+        "--pitch", type=float, metavar="DEG", help="height of the path; of figure-eight the largest (15)"
+    )
+    look = parser.add_argument_group("picture and file")
+    look.add_argument(
+        "--panels", nargs="+", default=["image"], metavar="PANEL", help=f"{', '.join(PANELS)} (default: image)"
+    )
+    look.add_argument("--columns", type=int, metavar="N", help="panels in a row")
+    look.add_argument("--no-labels", action="store_true", help="do not name the panels in the picture")
+    look.add_argument("--geometry-size", type=int, metavar="PX", help="width behind depth, opacity and normals panels")
+    look.add_argument("--fps", type=float, default=30.0, metavar="N", help="frames a second (default: 30)")
+    look.add_argument("--crf", type=int, default=17, metavar="N", help="H.264 quality, 0 best to 51 (default: 17)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Render, write the video and its sidecar, and print what was written."""
+    from gazenerf.cli.views import (
+        beyond_training,
+        eye_midpoint,
+        gaze_limits,
+        load_scene,
+        reference_renderer,
+        refuse_existing,
+        say,
+        warn,
+    )
+    from viz.orbit import frame_size, orbit_sidecar, render_orbit, sidecar_path, write_sidecar
+    from viz.panels import check_panels
+    from viz.progress import tracked
+    from viz.video import check_video, write_video
+
+    _check(args)
+    cameras = plan_cameras(args)
+    check_panels(args.panels, lambda camera, gaze: np.empty(0))  # names only; the renderer needs the subject
+    width, height = frame_size(cameras[0], args.panels, args.columns)
+    check_video(args.out, width, height, args.fps)
+    refuse_existing(args.out, args.overwrite)
+    name = args.gaze_path or ("targets" if len(args.gaze) > 1 else "hold" if args.gaze else "look-at-camera")
+    if name not in GAZE_PATHS:
+        raise UserError(f"unknown gaze path {name!r}; choose {', '.join(GAZE_PATHS)}")
+
+    field, subject = load_scene(args)
+    limits = gaze_limits(field)
+    given = [Gaze.from_degrees(pitch, yaw) for pitch, yaw in args.gaze]
+    eyes = eye_midpoint(subject) if name == "look-at-camera" else np.zeros(3)
+    gazes = gaze_path(name, cameras, gazes=given, limits=limits, eyes=eyes)
+    if note := beyond_training(field, gazes):
+        warn(note)
+    reference = reference_renderer(subject) if "reference" in args.panels else None
+    started = time.perf_counter()
+    frames = render_orbit(
+        lambda gaze: field.bind(subject, gaze),
+        cameras,
+        gazes,
+        args.panels,
+        reference=reference,
+        columns=args.columns,
+        labels=False if args.no_labels else None,
+        geometry_size=args.geometry_size,
+    )
+    files = write_video(args.out, tracked(frames, len(cameras), "rendering"), args.fps, args.crf)
+    seconds = time.perf_counter() - started
+    about = {"camera_path": args.camera_path, "gaze_path": name, "width": width, "height": height}
+    bound = field.bind(subject, gazes[0])
+    sidecar = orbit_sidecar(bound, cameras, gazes, panels=args.panels, fps=args.fps, about=about)
+    notes = write_sidecar(args.out, sidecar)
+    assert notes == sidecar_path(args.out)
+    say(
+        f"orbit of {subject.name}",
+        {
+            "video" if len(files) == 1 else "pictures": files[0]
+            if len(files) == 1
+            else f"{files[0]} .. {files[-1].name}",
+            "sidecar": notes,
+            "frames": f"{len(cameras)} of {width}x{height}, {len(cameras) / args.fps:.1f} s at {args.fps:g} fps",
+            "size": f"{sum(file.stat().st_size for file in files) / 2**20:.2f} MiB",
+            "rendered in": f"{seconds:.1f} s, {len(cameras) / seconds:.2f} frames/s",
+        },
+    )
+    return 0
+
+
+def plan_cameras(args: argparse.Namespace) -> list[Camera]:
+    """The camera of every frame.
+
+    Raises:
+        UserError: arguments that make no camera.
+    """
+    fov = float(np.deg2rad(args.fov))
+    frames = args.frames if args.frames is not None else PUBLISHED_FRAMES if args.camera_path == "circle" else 90
+    if args.camera_path.lower().endswith(".json"):
+        keys, loop = read_keyframes(args.camera_path, fov)
+        return keyframe_path(keys, frames, loop=loop, size=args.size)
+    return camera_path(
+        args.camera_path,
+        frames,
+        size=args.size,
+        fov=fov,
+        distance=args.distance,
+        sweep=None if args.sweep is None else float(np.deg2rad(args.sweep)),
+        yaw=float(np.deg2rad(args.yaw)),
+        pitch=None if args.pitch is None else float(np.deg2rad(args.pitch)),
+    )
+
+
+def _check(args: argparse.Namespace) -> None:
+    from gazenerf.cli.views import check_camera_arguments
+
+    check_camera_arguments(args)
+    for name in ("columns", "geometry_size"):
+        value = getattr(args, name)
+        if value is not None and value < 1:
+            raise UserError(f"--{name.replace('_', '-')} must be at least 1, got {value}")
+    if not 0 <= args.crf <= 51:
+        raise UserError(f"--crf goes from 0 (lossless) to 51, got {args.crf}")
+    angles = [*np.ravel(args.gaze), args.yaw, args.pitch or 0.0, args.sweep or 0.0]
+    if not np.isfinite(angles).all():
+        raise UserError("angles must be finite numbers of degrees")

@@ -1,0 +1,147 @@
+"""`gazenerf sheet`: many gazes or views of one head in one labelled picture."""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+import numpy as np
+
+from gazenerf.errors import UserError
+from gazenerf.files import whole_file
+from gazenerf.geometry import Camera, Gaze
+from gazenerf.geometry.paths import GazeRange
+
+HELP = "put many gazes or views of a head into one labelled picture"
+
+KINDS = ("gaze-grid", "contact")
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    from gazenerf.cli.views import add_camera_arguments, add_scene_arguments
+
+    add_scene_arguments(parser, ".png, .jpg or .webp picture")
+    parser.add_argument(
+        "--kind",
+        choices=KINDS,
+        default="gaze-grid",
+        help="gaze-grid: pitch down, gaze yaw across, one camera; contact: gazes down, camera yaw across",
+    )
+    parser.add_argument("--pitches", nargs="+", type=float, metavar="DEG", help="gaze pitches of the grid")
+    parser.add_argument("--yaws", nargs="+", type=float, metavar="DEG", help="gaze yaws of the grid")
+    parser.add_argument(
+        "--gaze",
+        nargs=2,
+        type=float,
+        action="append",
+        default=[],
+        metavar=("PITCH", "YAW"),
+        help="a row of the contact sheet; repeat it",
+    )
+    parser.add_argument(
+        "--views",
+        nargs="+",
+        type=float,
+        default=[-60, -30, 0, 30, 60],
+        metavar="DEG",
+        help="camera yaws of the contact sheet",
+    )
+    parser.add_argument("--eyes", action="store_true", help="keep only a band around the eyes of each tile of the grid")
+    camera = add_camera_arguments(parser)
+    camera.add_argument("--yaw", type=float, default=0.0, metavar="DEG", help="camera yaw of the grid")
+    camera.add_argument("--pitch", type=float, default=0.0, metavar="DEG", help="camera pitch")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Render the tiles, write the picture, and print what was written."""
+    from PIL import Image
+
+    from gazenerf.cli.views import (
+        beyond_training,
+        check_camera_arguments,
+        eye_midpoint,
+        gaze_limits,
+        load_scene,
+        refuse_existing,
+        say,
+        warn,
+    )
+    from viz.progress import tracked
+    from viz.sheets import contact_sheet, gaze_grid
+
+    check_camera_arguments(args)
+    if args.out.suffix.lower() not in (".png", ".jpg", ".jpeg", ".webp"):
+        raise UserError(f"cannot write a sheet as {args.out.name}; name --out .png, .jpg or .webp")
+    refuse_existing(args.out, args.overwrite)
+    field, subject = load_scene(args)
+    pitches, yaws, gazes = plan_gazes(args, gaze_limits(field))
+    shown = gazes if args.kind == "contact" else [Gaze(pitch, yaw) for pitch in pitches for yaw in yaws]
+    if note := beyond_training(field, shown):
+        warn(note)
+
+    def bind(gaze: Gaze):
+        return field.bind(subject, gaze)
+
+    def camera(yaw: float) -> Camera:
+        try:
+            where = float(np.deg2rad(yaw)), float(np.deg2rad(args.pitch))
+            return Camera.orbit(*where, distance=args.distance, size=args.size, fov=float(np.deg2rad(args.fov)))
+        except ValueError as error:
+            raise UserError(f"cannot place the camera: {error}; change --pitch") from error
+
+    cameras = [camera(yaw) for yaw in args.views]
+    started = time.perf_counter()
+    tiles = len(shown) * (len(cameras) if args.kind == "contact" else 1)
+    ticks = tracked(range(tiles), tiles, "rendering", "tile")
+    next(ticks)
+
+    def done() -> None:
+        next(ticks, None)
+
+    if args.kind == "contact":
+        picture = contact_sheet(bind, cameras, gazes, done=done)
+    else:
+        front = camera(args.yaw)
+        crop = eye_band(front, eye_midpoint(subject)) if args.eyes else None
+        picture = gaze_grid(bind, front, pitches, yaws, crop=crop, done=done)
+    with whole_file(args.out) as temporary:
+        Image.fromarray(picture).save(temporary, quality=92)
+    seconds = time.perf_counter() - started
+    say(
+        f"{args.kind} of {subject.name}",
+        {
+            "picture": args.out,
+            "size": f"{picture.shape[1]}x{picture.shape[0]}, {tiles} tiles",
+            "rendered in": f"{seconds:.1f} s, {tiles / seconds:.2f} tiles/s",
+        },
+    )
+    return 0
+
+
+def plan_gazes(args: argparse.Namespace, limits: GazeRange) -> tuple[list[float], list[float], list[Gaze]]:
+    """Pitches and yaws of the grid, radians, and gazes of the contact sheet; spread over the range by default.
+
+    Raises:
+        UserError: an angle is not finite.
+    """
+    pitches = np.deg2rad(args.pitches) if args.pitches else 0.9 * limits.pitch * np.linspace(-1, 1, 3)
+    yaws = np.deg2rad(args.yaws) if args.yaws else 0.9 * limits.yaw * np.linspace(-1, 1, 5)
+    corner = 0.7 * limits.pitch, 0.7 * limits.yaw
+    signs = ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))
+    gazes = [Gaze.from_degrees(*angles) for angles in args.gaze]
+    gazes = gazes or [Gaze(p * corner[0], y * corner[1]) for p, y in signs]
+    if not np.isfinite([*pitches, *yaws, *args.views, args.yaw, args.pitch, *np.ravel(args.gaze)]).all():
+        raise UserError("angles must be finite numbers of degrees")
+    return [float(p) for p in pitches], [float(y) for y in yaws], gazes
+
+
+def eye_band(camera: Camera, eyes: np.ndarray) -> tuple[int, int, int, int]:
+    """(left, top, right, bottom) pixels of a band about the eyes, 1.5 by 0.6 world units where it fits."""
+    pixel, z = camera.project(np.asarray(eyes, dtype=np.float64))
+    half_width, half_height = camera.fx * 0.75 / float(z), camera.fy * 0.3 / float(z)
+    left, right = max(0, round(pixel[0] - half_width)), min(camera.width, round(pixel[0] + half_width))
+    top, bottom = max(0, round(pixel[1] - half_height)), min(camera.height, round(pixel[1] + half_height))
+    if right - left < 4 or bottom - top < 4:
+        raise UserError("the eyes are outside this camera's picture; change --yaw or leave out --eyes")
+    return left, top, right, bottom

@@ -1,0 +1,180 @@
+"""`gazenerf orbit` and `gazenerf sheet` on a field whose picture is a colour of gaze and camera."""
+
+import argparse
+import json
+from types import SimpleNamespace
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+from PIL import Image
+
+from gazenerf.cli import orbit, sheet, views
+from gazenerf.errors import UserError
+from gazenerf.field.interface import GeometryView, RenderedView
+from gazenerf.geometry import Camera, Gaze
+from gazenerf.subjects import Codes, Subject
+
+SUBJECT = Subject("nobody", Codes(np.zeros(2), np.zeros(1), np.zeros(1), np.zeros(27)))
+
+
+class Flat:
+    """A bound field that is one colour: red pitch, green yaw, blue camera yaw."""
+
+    metres_per_unit = 0.1
+    weights_hash = "abc"
+    subject = SUBJECT
+
+    def __init__(self, gaze):
+        self.gaze = gaze
+
+    def render(self, camera, parts=("head",)):
+        around = Gaze.from_vector(camera.position).yaw
+        colour = np.float32([0.5 + self.gaze.pitch, 0.5 + self.gaze.yaw, 0.5 + 0.1 * around])
+        picture = np.broadcast_to(np.clip(colour, 0, 1), (camera.height, camera.width, 3))
+        return RenderedView(camera, dict.fromkeys(parts, picture))
+
+    def render_geometry(self, camera, part="head", normals=False):
+        shape = camera.height, camera.width
+        return GeometryView(camera, np.ones(shape, np.float32), np.full(shape, 12.0, np.float32))
+
+
+FIELD = SimpleNamespace(config=SimpleNamespace(trained_gaze_range=(20.0, 30.0)), bind=lambda subject, gaze: Flat(gaze))
+
+
+@pytest.fixture(autouse=True)
+def scene(monkeypatch):
+    monkeypatch.setattr(views, "load_scene", lambda args: (FIELD, SUBJECT))
+
+
+def run(command, *words: object) -> int:
+    parser = argparse.ArgumentParser()
+    command.configure(parser)
+    return command.run(parser.parse_args([str(word) for word in words]))
+
+
+def test_an_orbit_is_a_video_with_its_sidecar_and_a_table(tmp_path, capsys):
+    out = tmp_path / "o.mp4"
+    assert run(orbit, "--out", out, "--frames", 6, "--size", 32, "--fps", 12, "--gaze", 5, -10) == 0
+    frames, seconds = imageio_ffmpeg.count_frames_and_secs(str(out))
+    assert frames == 6 and seconds == pytest.approx(0.5, abs=0.01)
+    about = json.loads((tmp_path / "o.mp4.json").read_text())
+    assert about["subject"] == "nobody" and about["weights"] == "abc" and about["gaze_path"] == "hold"
+    assert all(f["gaze_degrees"] == pytest.approx({"pitch": 5, "yaw": -10}) for f in about["frames"])
+    printed = capsys.readouterr().out
+    assert "6 of 32x32" in printed and "frames/s" in printed
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["o.mp4", "o.mp4.json"]
+
+
+def test_the_eyes_follow_the_camera_by_default_and_stay_in_the_trained_range(tmp_path):
+    run(orbit, "--out", tmp_path / "frames", "--frames", 12, "--size", 8, "--camera-path", "horizontal")
+    about = json.loads((tmp_path / "frames" / "orbit.json").read_text())
+    yaws = [frame["gaze_degrees"]["yaw"] for frame in about["frames"]]
+    assert about["gaze_path"] == "look-at-camera"
+    assert max(yaws) == pytest.approx(30) and min(yaws) == pytest.approx(-30)
+    assert len(list((tmp_path / "frames").glob("*.png"))) == 12
+
+
+def test_several_gazes_are_targets(tmp_path):
+    words = ("--gaze", 0, 0, "--gaze", 10, 20, "--camera-path", "still", "--frames", 10, "--size", 8)
+    run(orbit, "--out", tmp_path / "a.gif", *words)
+    about = json.loads((tmp_path / "a.gif.json").read_text())
+    shown = [frame["gaze_degrees"] for frame in about["frames"]]
+    assert about["gaze_path"] == "targets"
+    assert shown[0] == pytest.approx({"pitch": 0, "yaw": 0}) and shown[5] == pytest.approx({"pitch": 10, "yaw": 20})
+
+
+def test_the_circle_has_the_published_frames_and_keyframes_come_from_a_file(tmp_path):
+    run(orbit, "--out", tmp_path / "c", "--camera-path", "circle", "--size", 4)
+    assert len(list((tmp_path / "c").glob("*.png"))) == 45
+    keys = tmp_path / "keys.json"
+    keys.write_text(json.dumps({"loop": False, "keyframes": [{"yaw": -20}, {"yaw": 20}]}))
+    run(orbit, "--out", tmp_path / "k", "--camera-path", keys, "--frames", 3, "--size", 4)
+    about = json.loads((tmp_path / "k" / "orbit.json").read_text())
+    cameras = [Camera.from_dict(frame["camera"]) for frame in about["frames"]]
+    np.testing.assert_allclose([Gaze.from_vector(c.position).degrees[1] for c in cameras], [-20, 0, 20], atol=1e-6)
+
+
+def test_panels_make_a_wider_even_frame(tmp_path):
+    run(orbit, "--out", tmp_path / "p.mp4", "--frames", 2, "--size", 32, "--panels", "image", "depth", "opacity")
+    about = json.loads((tmp_path / "p.mp4.json").read_text())
+    assert (about["width"], about["height"]) == (104, 32) and about["panels"] == ["image", "depth", "opacity"]
+
+
+def test_a_gaze_beyond_training_is_warned_about_with_the_range(tmp_path, capsys):
+    run(orbit, "--out", tmp_path / "a.webp", "--frames", 2, "--size", 8, "--gaze", 0, 45)
+    warning = capsys.readouterr().err
+    assert "0 45" in warning and "pitch +-20 and yaw +-30" in warning
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--size", 255), "256x256"),
+        (("--frames", 0), "--frames"),
+        (("--fps", 0), "--fps"),
+        (("--camera-path", "spiral"), "unknown camera path"),
+        (("--camera-path", "none.json"), "no keyframe file"),
+        (("--gaze-path", "wander"), "unknown gaze path"),
+        (("--panels", "image", "smell"), "unknown panel"),
+        (("--panels", "reference"), "head-model"),
+        (("--columns", 0), "--columns"),
+        (("--geometry-size", 0), "--geometry-size"),
+        (("--crf", 60), "--crf"),
+        (("--fov", 0), "--fov"),
+        (("--distance", -1), "--distance"),
+        (("--gaze", "nan", 0), "finite"),
+        (("--pitch", 90, "--camera-path", "still"), "cannot place"),
+    ],
+)
+def test_mistakes_are_one_line_and_leave_nothing(tmp_path, words, message):
+    with pytest.raises(UserError, match=message) as caught:
+        run(orbit, "--out", tmp_path / "a.mp4", *words)
+    assert "\n" not in str(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_existing_output_is_replaced_only_when_told(tmp_path):
+    words = ("--frames", 2, "--size", 8)
+    for out in (tmp_path / "a.mp4", tmp_path / "folder", tmp_path / "v-%02d.png"):
+        run(orbit, "--out", out, *words)
+        with pytest.raises(UserError, match="--overwrite"):
+            run(orbit, "--out", out, *words)
+        assert run(orbit, "--out", out, "--overwrite", *words) == 0
+
+
+def test_a_gaze_grid_spans_the_trained_range(tmp_path, capsys):
+    assert run(sheet, "--out", tmp_path / "g.png", "--size", 20) == 0
+    picture = np.asarray(Image.open(tmp_path / "g.png")).astype(int)
+    tiles = picture[-3 * 24 :, -5 * 24 :][10::24, 10::24]
+    np.testing.assert_allclose(tiles[:, 0, 0], 255 * (0.5 + np.deg2rad([18, 0, -18])), atol=1.5)
+    np.testing.assert_allclose(
+        tiles[0, :, 1], 255 * np.clip(0.5 + np.deg2rad([-27, -13.5, 0, 13.5, 27]), 0, 1), atol=1.5
+    )
+    assert "15 tiles" in capsys.readouterr().out
+
+
+def test_a_contact_sheet_has_the_asked_gazes_and_views(tmp_path):
+    words = ("--gaze", 0, 0, "--gaze", 10, -20, "--views", -40, 0, 40, 80)
+    run(sheet, "--kind", "contact", "--out", tmp_path / "c.png", "--size", 20, *words)
+    tiles = np.asarray(Image.open(tmp_path / "c.png")).astype(int)[-2 * 24 :, -4 * 24 :][10::24, 10::24]
+    np.testing.assert_allclose(tiles[1, :, 2], 255 * (0.5 + 0.1 * np.deg2rad([-40, 0, 40, 80])), atol=1.5)
+    np.testing.assert_allclose(tiles[:, 0, 1], 255 * (0.5 + np.deg2rad([0, -20])), atol=1.5)
+
+
+def test_the_eye_band_keeps_the_eyes():
+    left, top, right, bottom = sheet.eye_band(Camera.neutral(256), np.array([0.0, 0.0, 0.9]))
+    assert (left + right) / 2 == 128 and (top + bottom) / 2 == 128
+    assert 100 < right - left < 160 and right - left > 2 * (bottom - top)
+    with pytest.raises(UserError, match="--eyes"):
+        sheet.eye_band(Camera.neutral(256), np.array([5.0, 0.0, 0.9]))
+
+
+def test_sheet_mistakes(tmp_path):
+    with pytest.raises(UserError, match=r"\.png"):
+        run(sheet, "--out", tmp_path / "a.mp4")
+    with pytest.raises(UserError, match="--pitch"):
+        run(sheet, "--out", tmp_path / "a.png", "--pitch", 90)
+    with pytest.raises(UserError, match="finite"):
+        run(sheet, "--out", tmp_path / "a.png", "--yaws", "inf")
+    assert not list(tmp_path.iterdir())
