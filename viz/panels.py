@@ -14,7 +14,7 @@ from viz.colormaps import colour_depth, colour_normals, colour_opacity, enlarge,
 PANELS: tuple[str, ...] = ("image", "face", "eyes", "depth", "opacity", "normals", "reference")
 """What can be shown. `depth`, `opacity` and `normals` are of the whole head, both volumes together."""
 
-DEPTH_RANGE = (-1.6, 0.8)
+DEPTH_RANGE = (-1.3, 0.4)
 """Depth colours span these world units about the camera's distance to the origin, in every frame."""
 
 NORMALS_SIZE = 128

@@ -21,6 +21,7 @@ GIF_FASTEST = 50.0
 """Frames a second; players slow a GIF down beyond this."""
 
 MOST_FPS = 240.0
+_STOPPED = "ffmpeg could not finish the video as {}; check the free space at --out, or write .webp or a PNG sequence"
 _PATTERN = re.compile(r"^[^%]*%0?\d*d[^%]*$")
 
 
@@ -135,11 +136,18 @@ def _encode(
         raise UserError(f"no ffmpeg: {error}; `pip install imageio-ffmpeg`, or write .webp or PNG") from error
     try:
         for frame in frames:
-            encoder.send(frame)
+            try:
+                encoder.send(frame)
+            except OSError as error:
+                raise UserError(_STOPPED.format(codec)) from error
     finally:
         encoder.close()
-    if path.stat().st_size == 0:
-        raise UserError(f"ffmpeg wrote nothing as {codec}; write .webp or a PNG sequence instead")
+    try:
+        reader = imageio_ffmpeg.read_frames(str(path))
+        next(reader)
+        reader.close()
+    except (OSError, StopIteration) as error:  # a full disk shows only here
+        raise UserError(_STOPPED.format(codec)) from error
 
 
 def _write_webp(path: Path, frames: Iterator[np.ndarray], fps: float) -> None:

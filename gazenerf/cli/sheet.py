@@ -16,6 +16,13 @@ HELP = "put many gazes or views of a head into one labelled picture"
 
 KINDS = ("gaze-grid", "contact")
 
+CROPS: dict[str, tuple[float, float, float, float] | None] = {
+    "whole": None,
+    "face": (-0.95, 0.95, -1.05, 0.7),
+    "eyes": (-0.75, 0.75, -0.25, 0.3),
+}
+"""Left, right, lower and upper border in world units from the middle between the eyes."""
+
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
@@ -47,7 +54,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="DEG",
         help="camera yaws of the contact sheet",
     )
-    parser.add_argument("--eyes", action="store_true", help="keep only a band around the eyes of each tile of the grid")
+    parser.add_argument(
+        "--crop", choices=tuple(CROPS), default="face", help="what the grid's tiles keep (default: face)"
+    )
     camera = add_camera_arguments(parser)
     camera.add_argument("--yaw", type=float, default=0.0, metavar="DEG", help="camera yaw of the grid")
     camera.add_argument("--pitch", type=float, default=0.0, metavar="DEG", help="camera pitch")
@@ -103,7 +112,7 @@ def run(args: argparse.Namespace) -> int:
         picture = contact_sheet(bind, cameras, gazes, done=done)
     else:
         front = camera(args.yaw)
-        crop = eye_band(front, eye_midpoint(subject)) if args.eyes else None
+        crop = crop_box(front, eye_midpoint(subject), CROPS[args.crop])
         picture = gaze_grid(bind, front, pitches, yaws, crop=crop, done=done)
     with whole_file(args.out) as temporary:
         Image.fromarray(picture).save(temporary, quality=92)
@@ -136,12 +145,25 @@ def plan_gazes(args: argparse.Namespace, limits: GazeRange) -> tuple[list[float]
     return [float(p) for p in pitches], [float(y) for y in yaws], gazes
 
 
-def eye_band(camera: Camera, eyes: np.ndarray) -> tuple[int, int, int, int]:
-    """(left, top, right, bottom) pixels of a band about the eyes, 1.5 by 0.6 world units where it fits."""
-    pixel, z = camera.project(np.asarray(eyes, dtype=np.float64))
-    half_width, half_height = camera.fx * 0.75 / float(z), camera.fy * 0.3 / float(z)
-    left, right = max(0, round(pixel[0] - half_width)), min(camera.width, round(pixel[0] + half_width))
-    top, bottom = max(0, round(pixel[1] - half_height)), min(camera.height, round(pixel[1] + half_height))
-    if right - left < 4 or bottom - top < 4:
-        raise UserError("the eyes are outside this camera's picture; change --yaw or leave out --eyes")
+def crop_box(
+    camera: Camera, eyes: np.ndarray, borders: tuple[float, float, float, float] | None
+) -> tuple[int, int, int, int] | None:
+    """(left, top, right, bottom) pixels about the eyes, as far as the picture reaches; None for all of it.
+
+    Args:
+        camera: The camera of the tiles.
+        eyes: (3,) middle between the eyes, world units.
+        borders: Left, right, lower and upper border from there, world units in the picture plane.
+
+    Raises:
+        UserError: nothing is left.
+    """
+    if borders is None:
+        return None
+    (u, v), z = camera.project(np.asarray(eyes, dtype=np.float64))
+    left, right = (round(float(u + camera.fx * x / z)) for x in borders[:2])
+    bottom, top = (round(float(v - camera.fy * y / z)) for y in borders[2:])
+    left, right, top, bottom = max(0, left), min(camera.width, right), max(0, top), min(camera.height, bottom)
+    if right - left < 4 or bottom - top < 4 or z <= 0:
+        raise UserError("the eyes are outside this camera's picture; change --yaw, or use --crop whole")
     return left, top, right, bottom

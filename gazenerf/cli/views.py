@@ -97,7 +97,13 @@ def refuse_existing(out: Path, overwrite: bool) -> None:
 
 
 def eye_midpoint(subject: Subject) -> np.ndarray:
-    """(3,) middle between the subject's eyes, world units; a typical one when the head is not known."""
+    """(3,) middle between the subject's eyes, world units; an average one when the head is not known."""
+    from gazenerf.head_model import load_head_model
+
+    if subject.head is not None:
+        model = load_head_model()
+        if subject.head.sizes == model.code_sizes:
+            return model.eye_centres(subject.head.identity).mean(axis=0).astype(np.float64)
     return np.asarray(EYE_MIDPOINT)
 
 

@@ -22,8 +22,8 @@ PUBLISHED_RADIUS = 5.3
 PUBLISHED_FRAMES = 45
 """Frames of the published code's camera circle."""
 
-EYE_MIDPOINT = (0.0, 0.0, 0.9)
-"""Rough middle between the eyes, world units, where the head model of a subject is not known."""
+EYE_MIDPOINT = (0.0, 0.0, 0.8)
+"""Middle between the eyes of an average head, world units, where a subject's own is not known."""
 
 
 @dataclass(frozen=True)

@@ -144,7 +144,7 @@ def test_existing_output_is_replaced_only_when_told(tmp_path):
 
 
 def test_a_gaze_grid_spans_the_trained_range(tmp_path, capsys):
-    assert run(sheet, "--out", tmp_path / "g.png", "--size", 20) == 0
+    assert run(sheet, "--out", tmp_path / "g.png", "--size", 20, "--crop", "whole") == 0
     picture = np.asarray(Image.open(tmp_path / "g.png")).astype(int)
     tiles = picture[-3 * 24 :, -5 * 24 :][10::24, 10::24]
     np.testing.assert_allclose(tiles[:, 0, 0], 255 * (0.5 + np.deg2rad([18, 0, -18])), atol=1.5)
@@ -162,12 +162,16 @@ def test_a_contact_sheet_has_the_asked_gazes_and_views(tmp_path):
     np.testing.assert_allclose(tiles[:, 0, 1], 255 * (0.5 + np.deg2rad([0, -20])), atol=1.5)
 
 
-def test_the_eye_band_keeps_the_eyes():
-    left, top, right, bottom = sheet.eye_band(Camera.neutral(256), np.array([0.0, 0.0, 0.9]))
-    assert (left + right) / 2 == 128 and (top + bottom) / 2 == 128
-    assert 100 < right - left < 160 and right - left > 2 * (bottom - top)
-    with pytest.raises(UserError, match="--eyes"):
-        sheet.eye_band(Camera.neutral(256), np.array([5.0, 0.0, 0.9]))
+def test_crops_keep_the_eyes():
+    eyes = np.array([0.0, 0.1, 0.8])
+    for name, (width, height) in {"eyes": (128, 47), "face": (162, 149)}.items():
+        left, top, right, bottom = sheet.crop_box(Camera.neutral(256), eyes, sheet.CROPS[name])
+        (u, v), _ = Camera.neutral(256).project(eyes)
+        assert left < u < right and top < v < bottom
+        assert right - left == pytest.approx(width, abs=12) and bottom - top == pytest.approx(height, abs=12)
+    assert sheet.crop_box(Camera.neutral(256), eyes, None) is None
+    with pytest.raises(UserError, match="--crop whole"):
+        sheet.crop_box(Camera.neutral(256), np.array([5.0, 0.0, 0.9]), sheet.CROPS["eyes"])
 
 
 def test_sheet_mistakes(tmp_path):

@@ -155,3 +155,14 @@ def test_frames_of_changing_size_are_a_bug(tmp_path):
     with pytest.raises(ValueError, match="one size"):
         write_video(tmp_path / "a.gif", [*ramp(2), *ramp(1, 20, 20)])
     assert not list(tmp_path.iterdir())
+
+
+def test_an_encoder_that_fails_is_one_line_and_leaves_nothing(tmp_path, monkeypatch):
+    from viz import video
+
+    encode = video._encode
+    monkeypatch.setattr(video, "_encode", lambda *a: encode(*a[:4], "no-such-codec", *a[5:]))
+    with pytest.raises(UserError, match="no-such-codec") as caught:
+        write_video(tmp_path / "a.mp4", ramp(40, 480, 640))
+    assert "\n" not in str(caught.value)
+    assert not list(tmp_path.iterdir())
