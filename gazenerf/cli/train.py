@@ -20,7 +20,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--resume", action="store_true", help="continue the run in --out")
     parser.add_argument("--from", dest="initial", type=Path, metavar="FILE", help="start from this checkpoint")
     parser.add_argument("--held-out", type=int, default=1, metavar="N", help="people (the last ones) never trained on")
-    parser.add_argument("--held-out-views", type=float, default=0.05, metavar="SHARE", help="views of each person kept out")
+    parser.add_argument(
+        "--held-out-views", type=float, default=0.05, metavar="SHARE", help="views of each person kept out"
+    )
     parser.add_argument("--set", nargs="+", default=[], metavar="KEY=VALUE", help="change settings of the preset")
     parser.add_argument("--device", default="auto", choices=["auto", "cpu", "cuda"])
     parser.add_argument("--devices", type=int, default=1, metavar="N", help="data-parallel over N devices")

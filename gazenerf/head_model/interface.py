@@ -28,6 +28,7 @@ class HeadMesh:
         eye_centres: (2, 3) centres of rotation, left then right (the subject's).
         eye_radius: World units.
         metres_per_unit: Size of a world unit.
+        occlusion: (V,) float32 share of the surroundings each vertex sees, None when unknown.
     """
 
     vertices: np.ndarray
@@ -39,6 +40,7 @@ class HeadMesh:
     eye_centres: np.ndarray
     eye_radius: float
     metres_per_unit: float = 0.1
+    occlusion: np.ndarray | None = None
 
     def part_faces(self, *parts: int) -> np.ndarray:
         """(F', 3) the faces of some parts, indices into all vertices."""

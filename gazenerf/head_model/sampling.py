@@ -1,0 +1,57 @@
+"""Plausible random people and faces."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gazenerf.head_model.eyes import IRIS_CODES
+from gazenerf.head_model.model import ParametricHead
+from gazenerf.head_model.shading import sample_illumination
+from gazenerf.subjects import Codes
+
+_ALONE = ("jawOpen", "mouthSmileLeft", "mouthPucker", "browInnerUp", "mouthFunnel", "eyeSquintLeft", "mouthFrownLeft",
+          "browDownLeft", "mouthShrugUpper", "noseSneerLeft", "cheekPuff")  # fmt: skip
+
+
+def sample_person(rng: np.random.Generator, model: ParametricHead) -> Codes:
+    """Codes of a random adult with a neutral expression and a random portrait light."""
+    identity, expression, texture, _ = model.code_sizes
+    skin = texture - IRIS_CODES
+    look = np.zeros(texture)
+    look[:skin] = np.clip(rng.normal(0, 0.8, skin), -1.8, 1.8)
+    melanin = float(np.clip(rng.uniform(-1.55, 1.5), -1.5, 1.45))
+    look[0] = melanin
+    look[1:3] *= 0.8
+    look[1:21] *= np.clip(1.0 + 0.5 * melanin, 0.25, 1.0)
+    look[5] = np.clip(rng.normal(0.6, 0.4), -0.2, 1.3)
+    fair = max(0.0, melanin)
+    look[6] = max(0.0, rng.normal(0.2, 0.8)) * (0.3 + fair)
+    look[7] = max(0.0, rng.normal(-0.2, 0.8)) * (0.2 + 0.5 * fair)
+    look[11] = max(0.0, rng.normal(0.0, 0.8)) * (1.0 if rng.random() < 0.5 else 0.1)
+    look[15:21] = np.maximum(0.0, rng.normal(-0.5, 0.7, 6)) * np.clip(1.0 + 0.55 * melanin, 0.1, 1.0)
+    blue = rng.uniform(0.3, 1.3) if rng.random() < 0.25 + 0.45 * fair / 1.45 else rng.uniform(-0.1, 0.1)
+    look[skin:] = [blue, rng.uniform(-0.2, 0.9) * (blue > 0.2), rng.normal(0, 0.5), max(0.0, rng.normal(0, 0.6))]
+    return Codes(
+        np.clip(rng.normal(0, 0.85, identity), -2.0, 2.0), np.zeros(expression), look, sample_illumination(rng)
+    )
+
+
+def sample_expression(rng: np.random.Generator, model: ParametricHead) -> np.ndarray:
+    """(E,) expression coefficients: mostly near neutral, some strong, lids partly closed at times."""
+    out = np.zeros(len(model.expression_names), dtype=np.float32)
+    index = {name: i for i, name in enumerate(model.expression_names)}
+
+    def put(name: str, amount: float) -> None:
+        out[index[name]] = np.clip(amount, 0.0, 1.0)
+        if name.endswith("Left"):
+            out[index[name.replace("Left", "Right")]] = np.clip(amount * rng.uniform(0.8, 1.0), 0.0, 1.0)
+
+    strong = rng.random() < 0.4
+    for name in rng.choice(_ALONE, 3 if strong else 1, replace=False):
+        put(str(name), rng.uniform(0.2, 0.8) if strong else rng.uniform(0.0, 0.25))
+    lids = rng.random()
+    if lids < 0.12:
+        put("eyeBlinkLeft", rng.uniform(0.2, 0.6))
+    elif lids < 0.24:
+        put("eyeWideLeft", rng.uniform(0.2, 0.8))
+    return out
