@@ -123,7 +123,7 @@ def run(args: argparse.Namespace) -> int:
             else f"{files[0]} .. {files[-1].name}",
             "sidecar": notes,
             "frames": f"{len(cameras)} of {width}x{height}, {len(cameras) / args.fps:.1f} s at {args.fps:g} fps",
-            "size": f"{sum(file.stat().st_size for file in files) / 2**20:.2f} MiB",
+            "size": f"{sum(file.stat().st_size for file in files) / 1024:,.0f} KiB",
             "rendered in": f"{seconds:.1f} s, {len(cameras) / seconds:.2f} frames/s",
         },
     )

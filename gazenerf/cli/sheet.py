@@ -134,8 +134,8 @@ def plan_gazes(args: argparse.Namespace, limits: GazeRange) -> tuple[list[float]
     Raises:
         UserError: an angle is not finite.
     """
-    pitches = np.deg2rad(args.pitches) if args.pitches else 0.9 * limits.pitch * np.linspace(-1, 1, 3)
-    yaws = np.deg2rad(args.yaws) if args.yaws else 0.9 * limits.yaw * np.linspace(-1, 1, 5)
+    pitches = np.deg2rad(args.pitches) if args.pitches else _round_end(limits.pitch) * np.linspace(-1, 1, 3)
+    yaws = np.deg2rad(args.yaws) if args.yaws else _round_end(limits.yaw) * np.linspace(-1, 1, 5)
     corner = 0.7 * limits.pitch, 0.7 * limits.yaw
     signs = ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))
     gazes = [Gaze.from_degrees(*angles) for angles in args.gaze]
@@ -143,6 +143,12 @@ def plan_gazes(args: argparse.Namespace, limits: GazeRange) -> tuple[list[float]
     if not np.isfinite([*pitches, *yaws, *args.views, args.yaw, args.pitch, *np.ravel(args.gaze)]).all():
         raise UserError("angles must be finite numbers of degrees")
     return [float(p) for p in pitches], [float(y) for y in yaws], gazes
+
+
+def _round_end(limit: float) -> float:
+    """The last multiple of 5 degrees safely inside a range, radians; most of the range where it is narrow."""
+    degrees = 5.0 * np.floor(0.95 * np.rad2deg(limit) / 5.0)
+    return float(np.deg2rad(degrees)) if degrees else 0.9 * limit
 
 
 def crop_box(

@@ -147,9 +147,9 @@ def test_a_gaze_grid_spans_the_trained_range(tmp_path, capsys):
     assert run(sheet, "--out", tmp_path / "g.png", "--size", 20, "--crop", "whole") == 0
     picture = np.asarray(Image.open(tmp_path / "g.png")).astype(int)
     tiles = picture[-3 * 24 :, -5 * 24 :][10::24, 10::24]
-    np.testing.assert_allclose(tiles[:, 0, 0], 255 * (0.5 + np.deg2rad([18, 0, -18])), atol=1.5)
+    np.testing.assert_allclose(tiles[:, 0, 0], 255 * (0.5 + np.deg2rad([15, 0, -15])), atol=1.5)
     np.testing.assert_allclose(
-        tiles[0, :, 1], 255 * np.clip(0.5 + np.deg2rad([-27, -13.5, 0, 13.5, 27]), 0, 1), atol=1.5
+        tiles[0, :, 1], 255 * np.clip(0.5 + np.deg2rad([-25, -12.5, 0, 12.5, 25]), 0, 1), atol=1.5
     )
     assert "15 tiles" in capsys.readouterr().out
 
