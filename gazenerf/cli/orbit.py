@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from contextlib import nullcontext
 
 import numpy as np
 
@@ -69,11 +70,11 @@ def run(args: argparse.Namespace) -> int:
         eye_midpoint,
         gaze_limits,
         load_scene,
-        reference_renderer,
         refuse_existing,
         say,
         warn,
     )
+    from viz.head_picture import head_pictures
     from viz.orbit import frame_size, orbit_sidecar, render_orbit, sidecar_path, write_sidecar
     from viz.panels import check_panels
     from viz.progress import tracked
@@ -96,19 +97,19 @@ def run(args: argparse.Namespace) -> int:
     gazes = gaze_path(name, cameras, gazes=given, limits=limits, eyes=eyes)
     if note := beyond_training(field, gazes):
         warn(note)
-    reference = reference_renderer(subject) if "reference" in args.panels else None
     started = time.perf_counter()
-    frames = render_orbit(
-        lambda gaze: field.bind(subject, gaze),
-        cameras,
-        gazes,
-        args.panels,
-        reference=reference,
-        columns=args.columns,
-        labels=False if args.no_labels else None,
-        geometry_size=args.geometry_size,
-    )
-    files = write_video(args.out, tracked(frames, len(cameras), "rendering"), args.fps, args.crf)
+    with head_pictures(subject, (args.size, args.size)) if "reference" in args.panels else nullcontext() as reference:
+        frames = render_orbit(
+            lambda gaze: field.bind(subject, gaze),
+            cameras,
+            gazes,
+            args.panels,
+            reference=reference,
+            columns=args.columns,
+            labels=False if args.no_labels else None,
+            geometry_size=args.geometry_size,
+        )
+        files = write_video(args.out, tracked(frames, len(cameras), "rendering"), args.fps, args.crf)
     seconds = time.perf_counter() - started
     about = {"camera_path": args.camera_path, "gaze_path": name, "width": width, "height": height}
     bound = field.bind(subject, gazes[0])

@@ -118,8 +118,3 @@ def say(title: str, rows: Mapping[str, object]) -> None:
     for name, value in rows.items():
         table.add_row(name, str(value))
     Console().print(table)
-
-
-def reference_renderer(subject: Subject):
-    """Draws the subject's head model for the `reference` panel."""
-    raise UserError("no reference render for this subject (it has no head-model parameters); leave out the panel")
