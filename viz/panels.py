@@ -69,7 +69,7 @@ def draw_panels(
         Panel to (H, W, 3) uint8.
 
     Raises:
-        UserError: as `check_panels`.
+        UserError: as `check_panels`, or a stream that the field does not have.
     """
     names = check_panels(panels, reference)
     drawn: dict[str, np.ndarray] = {}
@@ -77,6 +77,8 @@ def draw_panels(
     view = bound.render(camera, parts) if parts else None
     for name, part in _STREAMS.items():
         if view is not None and name in names:
+            if part not in view.images:
+                raise UserError(f"this field has no {part} stream to show; leave out the panel")
             drawn[name] = to_uint8(view.images[part])
     if _GEOMETRY & set(names):
         geometry = _head_geometry(bound, camera, view, "normals" in names, geometry_size)

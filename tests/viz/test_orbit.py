@@ -116,6 +116,15 @@ def test_the_fields_own_geometry_is_used_when_it_comes_with_the_picture(bind, lo
     np.testing.assert_array_equal(drawn["opacity"][32, 32], [255] * 3)
 
 
+def test_a_field_of_one_stream_has_no_eyes_to_show(log):
+    class OneStream(Ball):
+        def render(self, camera, parts=("head",)):
+            return RenderedView(camera, super().render(camera, ("head",)).images)
+
+    with pytest.raises(UserError, match="no eyes stream"):
+        draw_panels(OneStream(Gaze(), log), Camera.neutral(8), ("image", "eyes"))
+
+
 def test_depth_colours_do_not_flicker_along_an_orbit(bind):
     cameras = full_turn(5, size=48)
     frames = list(render_orbit(bind, cameras, hold(5), ("depth",), geometry_size=48))
