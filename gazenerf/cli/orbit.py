@@ -65,8 +65,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Render, write the video and its sidecar, and print what was written."""
+    from gazenerf.cli.common import progress
     from gazenerf.cli.views import (
         beyond_training,
+        counted,
         eye_midpoint,
         gaze_limits,
         load_scene,
@@ -77,7 +79,6 @@ def run(args: argparse.Namespace) -> int:
     from viz.head_picture import head_pictures
     from viz.orbit import frame_size, orbit_sidecar, render_orbit, sidecar_path, write_sidecar
     from viz.panels import check_panels
-    from viz.progress import tracked
     from viz.video import check_video, write_video
 
     _check(args)
@@ -109,7 +110,8 @@ def run(args: argparse.Namespace) -> int:
             labels=False if args.no_labels else None,
             geometry_size=args.geometry_size,
         )
-        files = write_video(args.out, tracked(frames, len(cameras), "rendering"), args.fps, args.crf)
+        with progress("rendering", len(cameras)) as advance:
+            files = write_video(args.out, counted(frames, advance), args.fps, args.crf)
     seconds = time.perf_counter() - started
     about = {"camera_path": args.camera_path, "gaze_path": name, "width": width, "height": height}
     bound = field.bind(subject, gazes[0])

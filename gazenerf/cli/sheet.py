@@ -66,6 +66,7 @@ def run(args: argparse.Namespace) -> int:
     """Render the tiles, write the picture, and print what was written."""
     from PIL import Image
 
+    from gazenerf.cli.common import progress
     from gazenerf.cli.views import (
         beyond_training,
         check_camera_arguments,
@@ -76,7 +77,6 @@ def run(args: argparse.Namespace) -> int:
         say,
         warn,
     )
-    from viz.progress import tracked
     from viz.sheets import contact_sheet, gaze_grid
 
     check_camera_arguments(args)
@@ -102,18 +102,13 @@ def run(args: argparse.Namespace) -> int:
     cameras = [camera(yaw) for yaw in args.views]
     started = time.perf_counter()
     tiles = len(shown) * (len(cameras) if args.kind == "contact" else 1)
-    ticks = tracked(range(tiles), tiles, "rendering", "tile")
-    next(ticks)
-
-    def done() -> None:
-        next(ticks, None)
-
-    if args.kind == "contact":
-        picture = contact_sheet(bind, cameras, gazes, done=done)
-    else:
-        front = camera(args.yaw)
-        crop = crop_box(front, eye_midpoint(subject), CROPS[args.crop])
-        picture = gaze_grid(bind, front, pitches, yaws, crop=crop, done=done)
+    with progress("rendering", tiles) as advance:
+        if args.kind == "contact":
+            picture = contact_sheet(bind, cameras, gazes, done=advance)
+        else:
+            front = camera(args.yaw)
+            crop = crop_box(front, eye_midpoint(subject), CROPS[args.crop])
+            picture = gaze_grid(bind, front, pitches, yaws, crop=crop, done=advance)
     with whole_file(args.out) as temporary:
         Image.fromarray(picture).save(temporary, quality=92)
     seconds = time.perf_counter() - started

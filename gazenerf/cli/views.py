@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from rich.console import Console
@@ -15,6 +15,8 @@ from gazenerf.errors import UserError
 from gazenerf.geometry import Gaze
 from gazenerf.geometry.paths import EYE_MIDPOINT, GazeRange
 from gazenerf.subjects import Subject, bundled_subjects, load_subject
+
+T = TypeVar("T")
 
 
 def add_scene_arguments(parser: argparse.ArgumentParser, out: str) -> None:
@@ -105,6 +107,13 @@ def eye_midpoint(subject: Subject) -> np.ndarray:
         if subject.head.sizes == model.code_sizes:
             return model.eye_centres(subject.head.identity).mean(axis=0).astype(np.float64)
     return np.asarray(EYE_MIDPOINT)
+
+
+def counted(items: Iterable[T], advance: Callable[[], None]) -> Iterator[T]:
+    """The items, with `advance` called after each was used."""
+    for item in items:
+        yield item
+        advance()
 
 
 def warn(text: str) -> None:
