@@ -20,7 +20,7 @@ KINDS: tuple[str, ...] = (".mp4", ".gif", ".webp", ".png")
 GIF_FASTEST = 50.0
 """Frames a second; players slow a GIF down beyond this."""
 
-MOST_FPS = 240.0
+SLOWEST_FPS, MOST_FPS = 0.1, 240.0
 _STOPPED = "ffmpeg could not finish the video as {}; check the free space at --out, or write .webp or a PNG sequence"
 _PATTERN = re.compile(r"^[^%]*%0?\d*d[^%]*$")
 
@@ -46,16 +46,15 @@ def check_video(path: str | Path, width: int, height: int, fps: float) -> str:
     """The kind of a file, if it can hold frames of this size and rate; call before rendering.
 
     Raises:
-        UserError: unknown kind, H.264 of an odd size, a GIF beyond 50 or any video beyond 240 frames
-            a second.
+        UserError: unknown kind, H.264 of an odd size, or a frame rate that the kind cannot hold.
     """
     kind = output_kind(path)
     if kind == ".mp4" and (width % 2 or height % 2):
         even = f"{width + width % 2}x{height + height % 2}"
         raise UserError(f"H.264 needs an even size, got {width}x{height}; use {even}, or a .gif, .webp or PNG sequence")
     fastest = GIF_FASTEST if kind == ".gif" else MOST_FPS
-    if not 0.0 < fps <= fastest:
-        raise UserError(f"{kind[1:]} takes frame rates above 0 up to {fastest:g}, got {fps:g}; change --fps")
+    if not SLOWEST_FPS <= fps <= fastest:
+        raise UserError(f"{kind[1:]} takes frame rates from {SLOWEST_FPS:g} to {fastest:g}, got {fps:g}; change --fps")
     return kind
 
 

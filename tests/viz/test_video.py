@@ -125,7 +125,7 @@ def test_odd_sizes_for_h264_name_the_nearest_even_one(tmp_path):
     assert check_video("a.gif", 255, 63, 25) == ".gif"
 
 
-@pytest.mark.parametrize(("name", "fps"), [("a.mp4", 0.0), ("a.webp", -3), ("a.gif", 60), ("a.mp4", float("nan"))])
+@pytest.mark.parametrize(("name", "fps"), [("a.mp4", 0.001), ("a.webp", -3), ("a.gif", 60), ("a.mp4", float("nan"))])
 def test_rates_that_cannot_be(name, fps):
     with pytest.raises(UserError, match="--fps"):
         check_video(name, 64, 64, fps)
