@@ -35,9 +35,7 @@ def head_pictures(subject: Subject, size: tuple[int, int]) -> Iterator[Reference
         raise UserError(f"{subject.name} has no head-model parameters; leave out the reference panel")
     model = load_head_model()
     if codes.sizes != model.code_sizes:
-        raise UserError(
-            f"{subject.name} is of another head model than {model.name}; leave out the reference panel"
-        )
+        raise UserError(f"{subject.name} is of another head model than {model.name}; leave out the reference panel")
     posed: dict[Gaze, HeadMesh] = {}
     with Rasterizer(size) as rasterizer:
 
