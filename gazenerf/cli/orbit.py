@@ -68,6 +68,7 @@ def run(args: argparse.Namespace) -> int:
     from gazenerf.cli.common import progress
     from gazenerf.cli.views import (
         beyond_training,
+        binder,
         counted,
         eye_midpoint,
         gaze_limits,
@@ -92,6 +93,7 @@ def run(args: argparse.Namespace) -> int:
         raise UserError(f"unknown gaze path {name!r}; choose {', '.join(GAZE_PATHS)}")
 
     field, subject = load_scene(args)
+    bind = binder(field, subject)
     limits = gaze_limits(field)
     given = [Gaze.from_degrees(pitch, yaw) for pitch, yaw in args.gaze]
     eyes = eye_midpoint(subject) if name == "look-at-camera" else np.zeros(3)
@@ -101,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
     started = time.perf_counter()
     with head_pictures(subject, (args.size, args.size)) if "reference" in args.panels else nullcontext() as reference:
         frames = render_orbit(
-            lambda gaze: field.bind(subject, gaze),
+            bind,
             cameras,
             gazes,
             args.panels,
@@ -114,7 +116,7 @@ def run(args: argparse.Namespace) -> int:
             files = write_video(args.out, counted(frames, advance), args.fps, args.crf)
     seconds = time.perf_counter() - started
     about = {"camera_path": args.camera_path, "gaze_path": name, "width": width, "height": height}
-    bound = field.bind(subject, gazes[0])
+    bound = bind(gazes[0])
     sidecar = orbit_sidecar(bound, cameras, gazes, panels=args.panels, fps=args.fps, about=about)
     notes = write_sidecar(args.out, sidecar)
     assert notes == sidecar_path(args.out)

@@ -69,6 +69,7 @@ def run(args: argparse.Namespace) -> int:
     from gazenerf.cli.common import progress
     from gazenerf.cli.views import (
         beyond_training,
+        binder,
         check_camera_arguments,
         eye_midpoint,
         gaze_limits,
@@ -89,8 +90,7 @@ def run(args: argparse.Namespace) -> int:
     if note := beyond_training(field, shown):
         warn(note)
 
-    def bind(gaze: Gaze):
-        return field.bind(subject, gaze)
+    bind = binder(field, subject)
 
     def camera(yaw: float) -> Camera:
         try:

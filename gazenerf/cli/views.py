@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -12,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from gazenerf.errors import UserError
+from gazenerf.field.interface import BoundField
 from gazenerf.geometry import Gaze
 from gazenerf.geometry.paths import EYE_MIDPOINT, GazeRange
 from gazenerf.subjects import Subject, bundled_subjects, load_subject
@@ -64,6 +66,17 @@ def load_scene(args: argparse.Namespace) -> tuple[Any, Subject]:
     if name is None:
         raise UserError("no subject is bundled with this installation; give --subject FILE.safetensors")
     return load_field(args.checkpoint), load_subject(name)
+
+
+def binder(field: Any, subject: Subject) -> Callable[[Gaze], BoundField]:
+    """Binds the subject to a gaze; silent about the trained range, which `beyond_training` tells once."""
+
+    def bind(gaze: Gaze) -> BoundField:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message=".*beyond the trained range")
+            return field.bind(subject, gaze)
+
+    return bind
 
 
 def gaze_limits(field: Any) -> GazeRange:
