@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import torch
 import torch.nn.functional as F
 from torch import nn
@@ -17,7 +19,9 @@ def blur(images: torch.Tensor) -> torch.Tensor:
     channels = images.shape[1]
     taps = torch.tensor([0.25, 0.5, 0.25], device=images.device, dtype=images.dtype)
     kernel = (taps[:, None] * taps[None, :]).expand(channels, 1, 3, 3)
-    return F.conv2d(F.pad(images, (1, 1, 1, 1), mode="reflect"), kernel, groups=channels)
+    rows = torch.cat([images[:, :, 1:2], images, images[:, :, -2:-1]], dim=2)
+    padded = torch.cat([rows[:, :, :, 1:2], rows, rows[:, :, :, -2:-1]], dim=3)
+    return F.conv2d(padded, kernel, groups=channels)
 
 
 class Upsample(nn.Module):
@@ -49,7 +53,7 @@ class NeuralRenderer(nn.Module):
         for _ in range(blocks):
             widths.append(max(MIN_CHANNELS, widths[-1] // 2))
         self.upsample = nn.ModuleList(Upsample(width) for width in widths[:-1])
-        self.narrow = nn.ModuleList(nn.Conv2d(a, b, 1) for a, b in zip(widths[:-1], widths[1:], strict=True))
+        self.narrow = nn.ModuleList(nn.Conv2d(a, b, 1) for a, b in pairwise(widths))
         self.to_rgb = nn.ModuleList(nn.Conv2d(width, 3, 1) for width in widths)
         if config.initialisation == "he":
             for module in self.modules():

@@ -16,6 +16,12 @@ from torch import nn
 from gazenerf.field.config import FieldConfig
 from gazenerf.field.encoding import positional_encoding
 
+INITIAL_DENSITY = 5.0
+"""Density bias of a fresh stream, per world unit: a ReLU that starts at zero may never leave it."""
+
+DENSITY_LEAK = 0.05
+"""In training the density's ReLU passes this share of the gradient below zero; its value is unchanged."""
+
 
 @dataclass(frozen=True)
 class StreamCondition:
@@ -59,6 +65,7 @@ class Stream(nn.Module):
                 if isinstance(module, nn.Linear):
                     nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
                     nn.init.zeros_(module.bias)
+            nn.init.constant_(self.density.bias, INITIAL_DENSITY)
 
     def _codes(self, shape_code: torch.Tensor, gaze_label: torch.Tensor) -> torch.Tensor:
         return torch.cat([shape_code, gaze_label], dim=-1) if self.config.gaze_input else shape_code
@@ -145,7 +152,12 @@ class Stream(nn.Module):
             else:
                 hidden = layer(hidden)
             hidden = F.relu(hidden, inplace=True)
-        density = F.relu(self.density(hidden).float()).reshape(batch, *rest)
+        raw = self.density(hidden).float()
+        density = F.relu(raw)
+        if self.training:
+            below = raw.clamp(max=0.0)
+            density = density + DENSITY_LEAK * (below - below.detach())
+        density = density.reshape(batch, *rest)
         if not features:
             return density, hidden.new_empty(0)
         feature = F.linear(hidden, condition.feature_weight) + _like(condition.feature_bias, encoded)

@@ -29,7 +29,7 @@ class TrainConfig:
         code_weights: w of identity, expression, texture, illumination in the disentanglement loss.
         learn_codes: Learn per-picture offsets to the four codes.
         learn_cameras: Learn per-picture Euler angles and translations of the camera.
-        depth, opacity, empty, eyeball: Geometry terms for captures that know depth and eyeballs.
+        depth, surface, opacity, empty, eyeball: Geometry terms for captures that know depth and eyeballs.
         background_weight: L1 outside the head mask (the paper has none).
         eyes_weight: L1 inside the eye mask of the merged picture (the paper has none).
         geometry_decay: Geometry weights end at this share of their start.
@@ -49,7 +49,7 @@ class TrainConfig:
     final_learning_rate: float = 3e-5
     warmup: int = 100
     shell: float | None = 0.25
-    shell_samples: int = 12
+    shell_samples: int = 10
     shell_noise: float = 0.02
     reconstruction: float = 1.0
     perceptual: float = 0.0
@@ -59,9 +59,10 @@ class TrainConfig:
     code_weights: tuple[float, float, float, float] = (1e-3, 1.0, 1e-3, 1e-3)
     learn_codes: bool = False
     learn_cameras: bool = False
-    depth: float = 1.0
-    opacity: float = 0.2
-    empty: float = 0.02
+    depth: float = 0.5
+    surface: float = 0.5
+    opacity: float = 1.0
+    empty: float = 0.005
     eyeball: float = 0.02
     background_weight: float = 0.5
     eyes_weight: float = 1.0
@@ -109,6 +110,7 @@ PRESETS: dict[str, TrainConfig] = {
         learn_codes=True,
         learn_cameras=True,
         depth=0.0,
+        surface=0.0,
         opacity=0.0,
         empty=0.0,
         eyeball=0.0,

@@ -18,6 +18,10 @@ FREE_MARGIN = 0.08
 SCENE_RADIUS = 2.2
 """World units around the origin that are asked to be empty where nothing was captured."""
 
+FRONT, BEHIND, SOLID = 0.03, (0.015, 0.07), 80.0
+"""World units in front of a captured surface that are empty, the layer behind it that is solid, and
+the density per world unit asked for in that layer."""
+
 EYE_OUTSIDE, EYE_INSIDE = 1.15, 0.97
 """In eyeball radii: density beyond the first (the cornea bulges) is penalised, within the second asked for."""
 
@@ -34,7 +38,7 @@ class TrainingRender:
         eyes_image: (B, 3, h, w) the eyes stream on its crop, or None.
         eyes_window: (B, 2) row and column of that crop in picture pixels.
         face_image: (B, 3, H, W) the face stream, or None when not asked for.
-        terms: Unweighted scalar losses `depth`, `opacity`, `empty`, `eyeball` that apply.
+        terms: Unweighted scalar losses `depth`, `surface`, `opacity`, `empty`, `eyeball` that apply.
     """
 
     image: torch.Tensor
@@ -48,6 +52,11 @@ def mean_over(values: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
     """Mean of `values` where `mask`, 0 where the mask is empty."""
     weight = mask.to(values.dtype)
     return (values * weight).sum() / weight.sum().clamp(min=1.0)
+
+
+def _blend(weights: torch.Tensor, hidden: torch.Tensor) -> torch.Tensor:
+    """Weighted sums (B, R, K) of hidden features (B, R, S, K), in their precision."""
+    return (weights.to(hidden.dtype).unsqueeze(-2) @ hidden).squeeze(-2)
 
 
 def _pick(values: torch.Tensor, index: torch.Tensor) -> torch.Tensor:
@@ -103,7 +112,7 @@ def render_batch(
     face_condition = face.condition(batch.shape_code, batch.appearance_code, label)
     density_face, hidden_face = face.query(points, face_condition)
     weights_face, opacity_face = composite(density_face, deltas)
-    features = face.project((weights_face[..., None] * hidden_face).sum(2), opacity_face).float()
+    features = face.project(_blend(weights_face, hidden_face), opacity_face).float()
     background = model.renderer.background(size, size).float().flatten(2).transpose(1, 2).expand(b, -1, -1)
 
     def full_map(rows: torch.Tensor, opacity: torch.Tensor, index: torch.Tensor) -> torch.Tensor:
@@ -132,15 +141,15 @@ def render_batch(
     def turned(rows: torch.Tensor) -> torch.Tensor:
         return rotate_features(rows, label[:, None, :]) if rotate else rows
 
-    eyes_rows = eyes.project((weights_eyes[..., None] * hidden_eyes).sum(2), opacity_eyes).float()
+    eyes_rows = eyes.project(_blend(weights_eyes, hidden_eyes), opacity_eyes).float()
     eyes_map = turned(full_map(eyes_rows, opacity_eyes, eye_flat))
     joint_face, joint_eyes, joint_opacity = composite_joint(
         _pick(density_face, batch.eye_rays), density_eyes, deltas_eyes
     )
     if config.merge == "joint":
         hidden_near = _pick(hidden_face, batch.eye_rays)
-        rows = face.project((joint_face[..., None] * hidden_near).sum(2), joint_face.sum(-1)).float()
-        rows = rows + turned(eyes.project((joint_eyes[..., None] * hidden_eyes).sum(2), joint_eyes.sum(-1)).float())
+        rows = face.project(_blend(joint_face, hidden_near), joint_face.sum(-1)).float()
+        rows = rows + turned(eyes.project(_blend(joint_eyes, hidden_eyes), joint_eyes.sum(-1)).float())
         rows = rows + (1.0 - joint_opacity[..., None]) * _pick(background, eye_flat)
         merged = _put(face_map, eye_flat, rows)
     else:
@@ -157,11 +166,17 @@ def render_batch(
         near_eye = torch.zeros_like(batch.valid).scatter(1, batch.eye_rays, batch.eye_valid)
         plain = batch.valid & ~near_eye
         joint = joint_face + joint_eyes
-        miss = (weights_face * (t - batch.distance[..., None]).abs()).sum(-1)
+        miss = (weights_face * (t - batch.distance[..., None]).abs()).sum(-1) / (opacity_face + 1e-2)
         eye_distance = _pick(batch.distance, batch.eye_rays)
-        miss_eyes = (joint * (t_eyes - eye_distance[..., None]).abs()).sum(-1)
+        miss_eyes = (joint * (t_eyes - eye_distance[..., None]).abs()).sum(-1) / (joint_opacity + 1e-2)
         eye_surface = _pick(batch.has_surface, batch.eye_rays) & batch.eye_valid
-        terms["depth"] = mean_over(miss, plain & batch.has_surface) + 0.2 * mean_over(miss_eyes, eye_surface)
+        surface = plain & batch.has_surface
+        terms["depth"] = mean_over(miss, surface) + 0.2 * mean_over(miss_eyes, eye_surface)
+        gap = t - batch.distance[..., None]
+        front, behind = (gap < -FRONT) & surface[..., None], (gap > BEHIND[0]) & (gap < BEHIND[1]) & surface[..., None]
+        terms["surface"] = (
+            mean_over(density_face, front) / SOLID + mean_over((SOLID - density_face).clamp(min=0.0), behind) / SOLID
+        )
         face_cover, eyes_cover = _pick(batch.face_coverage, batch.eye_rays), _pick(batch.eyes_coverage, batch.eye_rays)
         terms["opacity"] = mean_over((opacity_face - batch.face_coverage).abs(), plain) + 0.2 * mean_over(
             (joint_face.sum(-1) - face_cover).abs() + (joint_eyes.sum(-1) - eyes_cover).abs(), batch.eye_valid

@@ -110,7 +110,7 @@ class Objective(nn.Module):
                     deltas, zeros, config.code_weights
                 )
         progress = step / max(1, config.steps)
-        geometry = any((config.depth, config.opacity, config.empty, config.eyeball))
+        geometry = any((config.depth, config.surface, config.opacity, config.empty, config.eyeball))
         render = render_batch(
             self.model,
             moved,
@@ -125,6 +125,7 @@ class Objective(nn.Module):
             fade = 1.0 - (1.0 - config.geometry_decay) * progress
             weights = {
                 "depth": config.depth,
+                "surface": config.surface,
                 "opacity": config.opacity,
                 "empty": config.empty,
                 "eyeball": config.eyeball,

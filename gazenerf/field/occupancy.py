@@ -1,0 +1,132 @@
+"""Where a bound density can be: a boolean grid, and rays walked through it front to back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+
+from gazenerf.field.sampling import box_interval
+
+Density = Callable[[torch.Tensor], torch.Tensor]
+"""Points (N, 3) to density (N,)."""
+
+
+@dataclass(frozen=True)
+class Occupancy:
+    """A grid over a box: True where density may exceed a threshold, grown by one cell.
+
+    Attributes:
+        cells: (G, G, G) bool, indexed [x, y, z].
+        box: (2, 3) float32.
+    """
+
+    cells: torch.Tensor
+    box: torch.Tensor
+
+    @classmethod
+    def of(cls, density: Density, box: torch.Tensor, size: int = 64, threshold: float = 0.5) -> Occupancy:
+        """Sample a density at the cell centres and grow what exceeds the threshold (per world unit)."""
+        step = (box[1] - box[0]) / size
+        axes = [box[0, i] + step[i] * (torch.arange(size) + 0.5) for i in range(3)]
+        values = []
+        for x in axes[0].split(8):
+            points = torch.cartesian_prod(x, axes[1], axes[2])
+            values.append(density(points).reshape(len(x), size, size))
+        dense = torch.cat(values) > threshold
+        grown = F.max_pool3d(dense[None, None].float(), 3, stride=1, padding=1)[0, 0] > 0
+        return cls(grown, box)
+
+    @property
+    def share(self) -> float:
+        """Occupied share of the box."""
+        return float(self.cells.float().mean())
+
+    def bounds(self) -> torch.Tensor | None:
+        """(2, 3) smallest box around the occupied cells, None when there are none."""
+        found = self.cells.nonzero()
+        if not len(found):
+            return None
+        step = (self.box[1] - self.box[0]) / self.cells.shape[0]
+        return torch.stack([self.box[0] + step * found.amin(0), self.box[0] + step * (found.amax(0) + 1)])
+
+    def at(self, points: torch.Tensor) -> torch.Tensor:
+        """(...,) bool: is each point (..., 3) in an occupied cell; False outside the box."""
+        size = self.cells.shape[0]
+        place = (points - self.box[0]) / (self.box[1] - self.box[0]) * size
+        inside = ((place >= 0) & (place < size)).all(dim=-1)
+        index = place.long().clamp(0, size - 1)
+        return self.cells[index[..., 0], index[..., 1], index[..., 2]] & inside
+
+
+def first_surface(
+    density: Density,
+    occupancy: Occupancy,
+    rays_o: torch.Tensor,
+    rays_d: torch.Tensor,
+    steps: int = 96,
+    block: int = 6,
+    refinements: int = 1,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Distance at which half the light of each ray is gone.
+
+    Rays are stepped evenly through the box; only samples in occupied cells are asked for their
+    density, a block at a time, and a ray stops once it is opaque. The interval found is then
+    sampled more finely.
+
+    Args:
+        density: The bound density.
+        occupancy: Of that density.
+        rays_o, rays_d: (R, 3).
+        steps: Even steps through the box.
+        block: Samples a ray and round.
+        refinements: How often the interval is divided by eight.
+
+    Returns:
+        distance (R,), meaningless where `hit` is False, and hit (R,) bool.
+    """
+    count = len(rays_o)
+    near, far = box_interval(rays_o, rays_d, occupancy.box)
+    step = ((far - near) / steps).clamp(min=1e-9)
+    t = near[:, None] + (torch.arange(steps) + 0.5) * step[:, None]
+    occupied = occupancy.at(rays_o[:, None] + t[..., None] * rays_d[:, None])
+    order = torch.argsort((~occupied).to(torch.uint8), dim=1, stable=True)
+    numbers = occupied.sum(1)
+    t = t.gather(1, order)
+    passed = torch.ones(count)
+    before = torch.ones(count)
+    distance = torch.full((count,), torch.nan)
+    for start in range(0, int(numbers.max()) if count else 0, block):
+        alive = ((numbers > start) & distance.isnan()).nonzero()[:, 0]
+        if not len(alive):
+            break
+        here = t[alive, start : start + block]
+        used = (torch.arange(start, start + here.shape[1]) < numbers[alive, None]).float()
+        points = rays_o[alive, None] + here[..., None] * rays_d[alive, None]
+        alpha = 1.0 - torch.exp(-density(points.reshape(-1, 3)).reshape(here.shape) * step[alive, None])
+        left = passed[alive, None] * torch.cumprod(1.0 - alpha * used, dim=1)
+        crossed = left < 0.5
+        which = crossed.float().argmax(1)
+        hit = crossed.any(1)
+        index = alive[hit]
+        distance[index] = here[hit, which[hit]]
+        previous = torch.cat([passed[alive, None], left[:, :-1]], dim=1)
+        before[index] = previous[hit, which[hit]]
+        passed[alive] = left[:, -1]
+    found = ~distance.isnan()
+    width = step.clone()
+    for _ in range(refinements):
+        rays = found.nonzero()[:, 0]
+        parts = 8
+        fine = width[rays] * 2 / parts
+        here = (distance[rays] - 1.5 * width[rays])[:, None] + (torch.arange(parts) + 0.5) * fine[:, None]
+        points = rays_o[rays, None] + here[..., None] * rays_d[rays, None]
+        alpha = 1.0 - torch.exp(-density(points.reshape(-1, 3)).reshape(here.shape) * fine[:, None])
+        left = torch.cumprod(1.0 - alpha, dim=1)
+        crossed = left < 0.5
+        which = torch.where(crossed.any(1), crossed.float().argmax(1), torch.full_like(rays, parts - 1))
+        distance[rays] = here.gather(1, which[:, None])[:, 0]
+        width[rays] = fine
+    return distance, found
