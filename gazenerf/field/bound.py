@@ -33,6 +33,9 @@ SLAB_HALF_WIDTH = 1.93
 
 CHUNK = 2**16
 
+MAX_KNOWN = 4
+"""Subjects whose occupancy a field remembers."""
+
 
 class BoundTwoStream:
     """See `gazenerf.field.interface.BoundField`.
@@ -142,13 +145,19 @@ class BoundTwoStream:
 
     @cached_property
     def _grids(self) -> dict[str, Occupancy]:
-        """Occupancy of each stream."""
-        box = torch.from_numpy(self.box.astype(np.float32))
-        with self._fast():
-            return {
-                name: Occupancy.of(lambda points, name=name: self._query(name, points), box)
-                for name in self.field.streams
-            }
+        """Occupancy of each stream, found once a subject and grown so that it holds for every gaze."""
+        known = self.field.occupancies
+        key = (self.subject.codes.shape_code.tobytes(), self.sampler)
+        if key not in known:
+            box = torch.from_numpy(self.box.astype(np.float32))
+            if len(known) >= MAX_KNOWN:
+                known.pop(next(iter(known)))
+            with self._fast():
+                known[key] = {
+                    name: Occupancy.of(lambda points, name=name: self._query(name, points), box)
+                    for name in self.field.streams
+                }
+        return known[key]
 
     @cached_property
     def _eyes_bounds(self) -> torch.Tensor | None:

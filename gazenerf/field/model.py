@@ -15,6 +15,7 @@ from gazenerf.field.streams import Stream
 
 if TYPE_CHECKING:
     from gazenerf.field.bound import BoundTwoStream
+    from gazenerf.field.occupancy import Occupancy
     from gazenerf.geometry import Gaze
     from gazenerf.subjects import Subject
 
@@ -28,6 +29,7 @@ class TwoStreamField(nn.Module):
         renderer: Shared by all pictures.
         about: Provenance stored with the weights, JSON-able.
         weights_hash: Names the weights; empty for a field that was never saved.
+        occupancies: What bound fields found out about where a subject's density is.
     """
 
     def __init__(self, config: FieldConfig) -> None:
@@ -38,6 +40,7 @@ class TwoStreamField(nn.Module):
         self.renderer = NeuralRenderer(config)
         self.about: dict[str, Any] = {}
         self.weights_hash = ""
+        self.occupancies: dict[tuple[bytes, str], dict[str, Occupancy]] = {}
 
     def stream(self, name: str) -> Stream:
         """A stream by name."""

@@ -16,7 +16,7 @@ Density = Callable[[torch.Tensor], torch.Tensor]
 
 @dataclass(frozen=True)
 class Occupancy:
-    """A grid over a box: True where density may exceed a threshold, grown by one cell.
+    """A grid over a box: True where density may exceed a threshold, grown by a margin.
 
     Attributes:
         cells: (G, G, G) bool, indexed [x, y, z].
@@ -27,8 +27,11 @@ class Occupancy:
     box: torch.Tensor
 
     @classmethod
-    def of(cls, density: Density, box: torch.Tensor, size: int = 64, threshold: float = 0.5) -> Occupancy:
-        """Sample a density at the cell centres and grow what exceeds the threshold (per world unit)."""
+    def of(cls, density: Density, box: torch.Tensor, size: int = 64, threshold: float = 0.5, margin: int = 2) -> Occupancy:
+        """Sample a density at the cell centres and grow what exceeds the threshold (per world unit) by `margin` cells.
+
+        The default margin, about 9 mm for the bundled box, covers how far lids move with the gaze.
+        """
         step = (box[1] - box[0]) / size
         axes = [box[0, i] + step[i] * (torch.arange(size) + 0.5) for i in range(3)]
         values = []
@@ -36,7 +39,7 @@ class Occupancy:
             points = torch.cartesian_prod(x, axes[1], axes[2])
             values.append(density(points).reshape(len(x), size, size))
         dense = torch.cat(values) > threshold
-        grown = F.max_pool3d(dense[None, None].float(), 3, stride=1, padding=1)[0, 0] > 0
+        grown = F.max_pool3d(dense[None, None].float(), 2 * margin + 1, stride=1, padding=margin)[0, 0] > 0
         return cls(grown, box)
 
     @property

@@ -59,8 +59,8 @@ class TrainConfig:
     code_weights: tuple[float, float, float, float] = (1e-3, 1.0, 1e-3, 1e-3)
     learn_codes: bool = False
     learn_cameras: bool = False
-    depth: float = 0.5
-    surface: float = 0.5
+    depth: float = 1.0
+    surface: float = 4.0
     opacity: float = 1.0
     empty: float = 0.005
     eyeball: float = 0.02
