@@ -1,0 +1,43 @@
+"""A missing system library, said with the package that holds it."""
+
+from __future__ import annotations
+
+import re
+
+PACKAGES = {
+    "libusb-1.0": "libusb-1.0-0",
+    "libgomp": "libgomp1",
+    "libEGL": "libegl1",
+    "libGL": "libgl1",
+    "libGLX": "libgl1",
+    "libOpenGL": "libopengl0",
+    "libX11": "libx11-6",
+    "libXrender": "libxrender1",
+    "libOSMesa": "libosmesa6",
+}
+"""Shared library to the Debian package that holds it."""
+
+_SPOKEN = (
+    re.compile(r"(lib[\w.+-]+?)\.so[\w.]*: cannot open shared object file"),
+    re.compile(r"[Uu]nable to load (EGL|OpenGL|GL|OSMesa)\b"),
+    re.compile(r"\('(EGL|GL|OSMesa)'"),
+)
+
+
+def missing_library(error: BaseException) -> str | None:
+    """One line that names a missing system library and the command that installs it.
+
+    Args:
+        error: What an import or a first use raised.
+
+    Returns:
+        The line, or None when the error is about something else.
+    """
+    found = next((match[1] for pattern in _SPOKEN if (match := pattern.search(str(error)))), None)
+    if found is None:
+        return None
+    library = found if found.startswith("lib") else f"lib{found}"
+    package = PACKAGES.get(library)
+    if package is None:
+        return f"the system library {library} is missing; install the package that holds it"
+    return f"the system library {library} is missing; on Debian or Ubuntu: apt-get install {package}"

@@ -1,0 +1,112 @@
+"""`gazenerf`: finds the command, runs it, and turns what the user can fix into one line."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+import warnings
+from collections.abc import Iterable, Sequence
+from types import ModuleType
+from typing import NoReturn
+
+from gazenerf import __version__
+from gazenerf.errors import UserError
+
+COMMANDS = {
+    "demo": "orbit, gaze grid, meshes and check of the bundled subject in one folder",
+    "orbit": "render a video that flies around a head while its eyes turn",
+    "sheet": "put many gazes or views of a head into one labelled picture",
+    "mesh": "extract the face and the eyes as meshes",
+    "check": "measure a field's geometry against renders of the subject's head model",
+    "synthesize": "render captures of synthetic people to train on",
+    "train": "train a two-stream field on captures",
+    "evaluate": "measure a field on views, gazes and people it has not seen",
+    "import-checkpoint": "convert a published checkpoint without executing it",
+    "subjects": "list the bundled subjects",
+    "completion": "print a shell completion script",
+}
+"""Command to the line that `gazenerf --help` shows; `gazenerf/cli/<command>.py` holds the rest."""
+
+INTERRUPTED = 130
+BROKEN_PIPE = 141
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser whose errors are one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """Exit with code 2."""
+        self.exit(2, f"gazenerf: error: {message} (see `{self.prog} --help`)\n")
+
+
+def load_command(name: str) -> ModuleType:
+    """The module of a command, with `HELP`, `configure(parser)` and `run(args) -> int`."""
+    return importlib.import_module(f"gazenerf.cli.{name.replace('-', '_')}")
+
+
+def build_parser(configured: Iterable[str] = tuple(COMMANDS)) -> argparse.ArgumentParser:
+    """The parser of the whole command line.
+
+    Args:
+        configured: Commands whose modules are loaded and whose arguments are added; the others are
+            only listed, which keeps `gazenerf --help` quick.
+    """
+    parser = Parser(
+        prog="gazenerf",
+        description="See, measure and take out the 3D inside a gaze-redirecting head field.",
+        epilog="Angles are degrees: pitch up, yaw to the subject's left. Exit codes: 0 done, 1 a measured threshold "
+        "failed, 2 something to fix in the input.",
+    )
+    parser.add_argument("--version", action="version", version=f"gazenerf {__version__}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    for name, line in COMMANDS.items():
+        command = commands.add_parser(name, help=line, description=f"{line[0].upper()}{line[1:]}.")
+        if name in configured:
+            load_command(name).configure(command)
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Args:
+        argv: Words after the program's name; those of this process by default.
+
+    Returns:
+        The exit code: 0 done, 1 a measured threshold failed, 2 the user can fix it, 130 interrupted.
+    """
+    words = list(sys.argv[1:] if argv is None else argv)
+    asked = next((word for word in words if not word.startswith("-")), None)
+    warnings.showwarning = _one_line
+    try:
+        args = build_parser([asked] if asked in COMMANDS else []).parse_args(words)
+        code = load_command(args.command).run(args)
+        sys.stdout.flush()
+        return code
+    except UserError as error:
+        print(f"gazenerf: error: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BROKEN_PIPE
+    except KeyboardInterrupt:
+        print("gazenerf: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except (ImportError, OSError) as error:
+        from gazenerf.cli.libraries import missing_library
+
+        hint = missing_library(error)
+        if hint is None:
+            raise
+        print(f"gazenerf: error: {hint}", file=sys.stderr)
+        return 2
+
+
+def _one_line(message: Warning | str, *_: object, **__: object) -> None:
+    print(f"gazenerf: warning: {' '.join(str(message).split())}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,60 @@
+"""`gazenerf subjects`: the heads that ship with the field."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from typing import Any
+
+HELP = "list the bundled subjects"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print every bundled subject: whether training saw it, its code sizes and where it came from."""
+    rows = describe_subjects()
+    if args.json:
+        json.dump(rows, sys.stdout, indent=2)
+        print()
+        return 0
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title="bundled subjects", title_justify="left")
+    for heading in ("name", "training", "identity, expression, texture, illumination", "provenance"):
+        table.add_column(heading, overflow="fold")
+    for row in rows:
+        about = ", ".join(f"{key} {value}" for key, value in row["provenance"].items())
+        table.add_row(row["name"], row["training"], ", ".join(map(str, row["code_sizes"])), about)
+    Console().print(table, markup=False, highlight=False)
+    return 0
+
+
+def describe_subjects() -> list[dict[str, Any]]:
+    """Name, file, `training` (seen, held out or unknown), code sizes and provenance of the bundled subjects.
+
+    Raises:
+        UserError: a bundled file is damaged.
+    """
+    from gazenerf.subjects import bundled_subjects, load_subject
+
+    rows = []
+    for name, path in bundled_subjects().items():
+        subject = load_subject(name)
+        provenance = dict(subject.provenance)
+        seen = provenance.pop("trained", None)
+        rows.append(
+            {
+                "name": name,
+                "file": str(path),
+                "training": {True: "seen", False: "held out"}.get(seen, "unknown"),
+                "code_sizes": list(subject.codes.sizes),
+                "provenance": provenance,
+            }
+        )
+    return rows
