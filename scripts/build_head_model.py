@@ -16,7 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from gazenerf.files import whole_file
-from gazenerf.head_model.model import ASSET, EYE_RADIUS, _fit_lids, _push_out, vertex_normals
+from gazenerf.head_model.assembly import vertex_normals
+from gazenerf.head_model.assets import BUNDLED
+from gazenerf.head_model.lids import fit_lids, push_out
+from gazenerf.head_model.model import EYE_RADIUS
 from gazenerf.head_model.subdivision import subdivide, triangles
 
 UNITS_PER_METRE = 10.0
@@ -180,7 +183,8 @@ def build(count: int, seed: int) -> dict[str, np.ndarray]:
     template = mean[: heads[0].size].reshape(-1, 3)
     size = template.size
     print(
-        f"{len(template)} vertices, {len(new_quads)} quads, {kept_share:.4f} of the variance kept, eye radius {radius:.4f}"
+        f"{len(template)} vertices, {len(new_quads)} quads, "
+        f"{kept_share:.4f} of the variance kept, eye radius {radius:.4f}"
     )
 
     matrix, fine_quads = subdivide(new_quads, len(template), LEVELS)
@@ -188,10 +192,10 @@ def build(count: int, seed: int) -> dict[str, np.ndarray]:
     shaped = template
     new_eyes = source_eyes + np.array([0.0, 0.0, radius - EYE_RADIUS])
     for old, new in zip(source_eyes, new_eyes, strict=True):
-        shaped = _fit_lids(shaped, old, radius, new)
+        shaped = fit_lids(shaped, old, radius, new, EYE_RADIUS)
     fine = matrix @ shaped
     for new in new_eyes:
-        fine = _push_out(fine, new, 1.06 * EYE_RADIUS)
+        fine = push_out(fine, new, 1.06 * EYE_RADIUS)
     faces = triangles(fine_quads)
     from head_appearance import find_landmarks, occlusion_of, paint  # beside this script
 
@@ -225,7 +229,7 @@ def build(count: int, seed: int) -> dict[str, np.ndarray]:
 def main() -> None:
     """Build and write the asset."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=ASSET)
+    parser.add_argument("--out", type=Path, default=BUNDLED)
     parser.add_argument("--samples", type=int, default=500)
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()

@@ -55,6 +55,24 @@ def eye_opening(fine: np.ndarray, faces: np.ndarray, centre: np.ndarray) -> tupl
     return x, y, np.where(ball > 0, centre[2] + np.sqrt(np.maximum(ball, 0)), -np.inf) > skin
 
 
+def eye_marks(fine: np.ndarray, faces: np.ndarray, centre: np.ndarray, outer: float) -> np.ndarray:
+    """(6,) lid vertices from the outer corner over the upper lid to the inner corner and back below."""
+    x, y, seen = eye_opening(fine, faces, centre)
+    columns = np.flatnonzero(seen.any(axis=0))
+    inner_x, outer_x = (columns[-1], columns[0]) if outer < 0 else (columns[0], columns[-1])
+
+    def on_lid(column: int, upper: bool) -> int:
+        rows = np.flatnonzero(seen[:, column])
+        row = rows[-1] if upper else rows[0]
+        ball = EYE_RADIUS**2 - (x[column] - centre[0]) ** 2 - (y[row] - centre[1]) ** 2
+        point = np.array([x[column], y[row], centre[2] + np.sqrt(max(ball, 0.0))])
+        return int(np.argmin(np.linalg.norm(fine - point, axis=1)))
+
+    near, far = (round(outer_x + (inner_x - outer_x) * share) for share in (0.33, 0.67))
+    path = [(outer_x, True), (near, True), (far, True), (inner_x, True), (far, False), (near, False)]
+    return np.array([on_lid(column, upper) for column, upper in path])
+
+
 def find_landmarks(
     fine: np.ndarray, faces: np.ndarray, eyes: np.ndarray, matrix: sparse.csr_matrix, uv: np.ndarray
 ) -> np.ndarray:
@@ -86,24 +104,8 @@ def find_landmarks(
     base = ys[int(np.argmin(depth[4:])) + 4]
     for i, x in enumerate((-0.15, -0.075, 0.0, 0.075, 0.15)):
         marks[31 + i] = front_vertex(fine, x, base + 0.02 * abs(x) / 0.15)
-    for first, centre, outer in ((36, eyes[1], -1.0), (42, eyes[0], 1.0)):
-        x, y, seen = eye_opening(fine, faces, centre)
-        columns = np.flatnonzero(seen.any(axis=0))
-        inner_x, outer_x = (columns[-1], columns[0]) if outer < 0 else (columns[0], columns[-1])
-
-        def on_lid(column: int, upper: bool) -> int:
-            rows = np.flatnonzero(seen[:, column])
-            row = rows[-1] if upper else rows[0]
-            ball = EYE_RADIUS**2 - (x[column] - centre[0]) ** 2 - (y[row] - centre[1]) ** 2
-            point = np.array([x[column], y[row], centre[2] + np.sqrt(max(ball, 0.0))])
-            return int(np.argmin(np.linalg.norm(fine - point, axis=1)))
-
-        third = [round(outer_x + (inner_x - outer_x) * share) for share in (0.33, 0.67)]
-        order = [on_lid(outer_x, True), on_lid(third[0], True), on_lid(third[1], True), on_lid(inner_x, True),
-                 on_lid(third[1], False), on_lid(third[0], False)]  # fmt: skip
-        if first == 42:
-            order = [order[3], order[2], order[1], order[0], order[5], order[4]]
-        marks[first : first + 6] = order
+    marks[36:42] = eye_marks(fine, faces, eyes[1], -1.0)
+    marks[42:48] = eye_marks(fine, faces, eyes[0], 1.0)[[3, 2, 1, 0, 5, 4]]
     seen_lips = np.flatnonzero(lips & (fine[:, 2] > fine[lips, 2].max() - 0.28))
     span = fine[seen_lips, 0].min(), fine[seen_lips, 0].max()
 

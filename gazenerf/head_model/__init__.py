@@ -1,6 +1,7 @@
 """Parametric heads with true eyeballs."""
 
+from gazenerf.head_model.generic import GenericHead
 from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, FACE, HeadMesh, HeadModel
 from gazenerf.head_model.model import ParametricHead, load_head_model
 
-__all__ = ["EYE_LEFT", "EYE_RIGHT", "FACE", "HeadMesh", "HeadModel", "ParametricHead", "load_head_model"]
+__all__ = ["EYE_LEFT", "EYE_RIGHT", "FACE", "GenericHead", "HeadMesh", "HeadModel", "ParametricHead", "load_head_model"]

@@ -4,26 +4,24 @@ from __future__ import annotations
 
 from functools import lru_cache
 from pathlib import Path
+from typing import overload
 
 import numpy as np
 
 from gazenerf.errors import UserError
 from gazenerf.geometry import Gaze
-from gazenerf.head_model.eyes import IRIS_CODES, RADIUS_MM, build_eye_mesh
-from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, FACE, HeadMesh
+from gazenerf.head_model.assembly import assemble
+from gazenerf.head_model.assets import BUNDLED, read_arrays
+from gazenerf.head_model.eyes import IRIS_CODES, RADIUS_MM
+from gazenerf.head_model.generic import FORMAT, METRES_PER_UNIT, GenericHead
+from gazenerf.head_model.interface import HeadMesh
+from gazenerf.head_model.lids import fit_lids, lid_coefficients, push_out
 from gazenerf.head_model.subdivision import subdivide, triangles
 from gazenerf.subjects import Codes
 
-ASSET = Path(__file__).parent.parent / "assets" / "head_model.npz"
-MAX_ASSET_BYTES = 64 * 2**20
-METRES_PER_UNIT = 0.1
+BUNDLED_NAME = "makehuman-cc0-1"
 EYE_RADIUS = RADIUS_MM / 1000.0 / METRES_PER_UNIT
 LID_CLEARANCE = 0.055 * EYE_RADIUS
-LID_OPENING = np.array([1.3, 1.65, 1.0])
-"""How much wider, in x and y, the lids open on the anatomical eyeball than on the source's larger one."""
-
-LID_PITCH, LID_YAW = np.deg2rad(28.0), np.deg2rad(38.0)
-"""Gaze angles at which the eyeLook lid shapes are fully on."""
 
 
 class ParametricHead:
@@ -53,7 +51,6 @@ class ParametricHead:
         self._matrix, fine = subdivide(data["quads"].astype(np.int64), len(self.template), int(data["levels"]))
         self._matrix = self._matrix.astype(np.float32)
         self._faces = triangles(fine).astype(np.int32)
-        self._index = {label: i for i, label in enumerate(self.expression_names)}
         self.code_sizes = (
             len(self.identity),
             len(self.expression),
@@ -63,21 +60,7 @@ class ParametricHead:
 
     def lids(self, gaze: Gaze) -> np.ndarray:
         """(E,) expression coefficients that make the lids follow a gaze."""
-        out = np.zeros(len(self.expression), dtype=np.float32)
-        up, left = gaze.pitch / LID_PITCH, gaze.yaw / LID_YAW
-        pairs = {
-            "eyeLookUpLeft": up,
-            "eyeLookUpRight": up,
-            "eyeLookDownLeft": -up,
-            "eyeLookDownRight": -up,
-            "eyeLookOutLeft": left,
-            "eyeLookInRight": left,
-            "eyeLookInLeft": -left,
-            "eyeLookOutRight": -left,
-        }
-        for label, amount in pairs.items():
-            out[self._index[label]] = np.clip(amount, 0.0, 1.2)
-        return out
+        return lid_coefficients(self.expression_names, gaze)
 
     def eye_centres(self, identity: np.ndarray) -> np.ndarray:
         """(2, 3) centres of rotation, left then right, world units."""
@@ -101,101 +84,47 @@ class ParametricHead:
         centres = self.eye_centres(codes.identity)
         source = self.source_eyes + np.tensordot(codes.identity, self.source_eyes_identity, 1)
         for old, new in zip(source, centres, strict=True):
-            base = _fit_lids(base, old, self.source_radius, new)
+            base = fit_lids(base, old, self.source_radius, new, EYE_RADIUS)
         skin = self._matrix @ base.astype(np.float32)
         for centre in centres:
-            skin = _push_out(skin, centre, EYE_RADIUS + LID_CLEARANCE)
-        skin_albedo = np.clip(
-            self.albedo_mean + np.tensordot(codes.texture[: len(self.albedo_basis)], self.albedo_basis, 1), 0.008, 0.92
-        )
-        eye = build_eye_mesh()
-        eye_albedo = eye.albedo(codes.texture[len(self.albedo_basis) :])
-        rotation = gaze.rotation()
-        turned = (eye.vertices @ rotation.T).astype(np.float32)
-        eyes = [centre + EYE_RADIUS * turned for centre in centres]
-        count, n_eye = len(skin), len(eye.vertices)
-        shadow = _lid_shadow(turned)
-        vertices = np.concatenate([skin, *eyes]).astype(np.float32)
-        faces = np.concatenate([self._faces, eye.faces + count, eye.faces + count + n_eye])
-        marks = {str(i): vertices[vertex] for i, vertex in enumerate(self.landmarks)}
-        marks["iris_left"] = vertices[count + eye.iris]
-        marks["iris_right"] = vertices[count + n_eye + eye.iris]
-        return HeadMesh(
-            vertices=vertices,
-            faces=faces.astype(np.int32),
-            face_part=np.repeat(
-                np.array([FACE, EYE_LEFT, EYE_RIGHT], np.uint8), [len(self._faces), len(eye.faces), len(eye.faces)]
-            ),
-            normals=vertex_normals(vertices, faces),
-            albedo=np.concatenate([skin_albedo, eye_albedo, eye_albedo]).astype(np.float32),
-            landmarks=marks,
-            eye_centres=centres.astype(np.float64),
-            eye_radius=EYE_RADIUS,
-            metres_per_unit=METRES_PER_UNIT,
-            occlusion=np.concatenate([self.occlusion, shadow, shadow]).astype(np.float32),
-        )
+            skin = push_out(skin, centre, EYE_RADIUS + LID_CLEARANCE)
+        looks = len(self.albedo_basis)
+        albedo = np.clip(self.albedo_mean + np.tensordot(codes.texture[:looks], self.albedo_basis, 1), 0.008, 0.92)
+        return assemble(
+            skin, self._faces, albedo, self.landmarks, centres, EYE_RADIUS, codes.texture[looks:], gaze,
+            METRES_PER_UNIT, self.occlusion,
+        )  # fmt: skip
 
 
-def _smoothstep(low: float, high: float, values: np.ndarray) -> np.ndarray:
-    t = np.clip((values - low) / (high - low), 0.0, 1.0)
-    return t * t * (3.0 - 2.0 * t)
+def _load(path: Path) -> ParametricHead | GenericHead:
+    arrays = read_arrays(path)
+    if "format" in arrays:
+        if str(arrays["format"]) != FORMAT:
+            raise UserError(f"{path} has the format {str(arrays['format'])!r}; this version reads {FORMAT!r}")
+        return GenericHead(arrays, path)
+    try:
+        return ParametricHead(arrays, path.stem)
+    except (KeyError, ValueError, IndexError, TypeError) as error:
+        raise UserError(f"{path} is not a head model ({error}); docs/head-model.md describes the format") from error
 
 
-def _fit_lids(vertices: np.ndarray, old: np.ndarray, radius: float, new: np.ndarray) -> np.ndarray:
-    """Move the skin about an eyeball (centre `old`, `radius`) to one of anatomical size about `new`."""
-    offset = vertices - old
-    distance = np.maximum(np.linalg.norm(offset, axis=1, keepdims=True), 1e-6)
-    gap = distance - radius
-    weight = 1.0 - _smoothstep(0.02, 0.16, gap)
-    direction = offset / distance
-    opened = direction * LID_OPENING
-    opened /= np.maximum(np.linalg.norm(opened, axis=1, keepdims=True), 1e-6)
-    ahead = _smoothstep(0.1, 0.5, direction[:, 2:])
-    direction = direction + ahead * (opened - direction)
-    target = new + direction * (EYE_RADIUS + gap)
-    return vertices + weight * (target - vertices)
+@lru_cache(maxsize=1)
+def _bundled() -> ParametricHead:
+    return ParametricHead(read_arrays(BUNDLED), BUNDLED_NAME)
 
 
-def _push_out(vertices: np.ndarray, centre: np.ndarray, radius: float) -> np.ndarray:
-    """Vertices inside a ball moved to its surface."""
-    near = np.flatnonzero((np.abs(vertices - centre) < radius).all(axis=1))
-    offset = vertices[near] - centre
-    distance = np.maximum(np.linalg.norm(offset, axis=1, keepdims=True), 1e-6)
-    vertices[near] = centre + offset * np.maximum(1.0, radius / distance)
-    return vertices
+@overload
+def load_head_model(path: None = None) -> ParametricHead: ...
+@overload
+def load_head_model(path: str | Path) -> ParametricHead | GenericHead: ...
+def load_head_model(path: str | Path | None = None) -> ParametricHead | GenericHead:
+    """The bundled head model, or one from a user's file.
 
-
-def _lid_shadow(directions: np.ndarray) -> np.ndarray:
-    """(V,) occlusion of an eyeball's surface by the lids, from directions in the head frame."""
-    upper = _smoothstep(0.12, 0.62, directions[:, 1])
-    corner = _smoothstep(0.45, 0.9, np.abs(directions[:, 0]))
-    return (1.0 - 0.55 * upper) * (1.0 - 0.35 * corner) * (1.0 - 0.15 * _smoothstep(0.3, 0.8, -directions[:, 1]))
-
-
-def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(V, 3) float32 unit normals, faces weighted by area."""
-    a, b, c = (vertices[faces[:, i]].astype(np.float64) for i in range(3))
-    cross = np.cross(b - a, c - a)
-    normals = np.stack(
-        [np.bincount(faces.ravel(), np.repeat(cross[:, i], 3), minlength=len(vertices)) for i in range(3)], axis=1
-    )
-    return (normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)).astype(np.float32)
-
-
-@lru_cache(maxsize=2)
-def load_head_model(path: str | Path | None = None) -> ParametricHead:
-    """The bundled head model, or one built by the same script from a path.
+    Args:
+        path: An `.npz` in the generic format (docs/head-model.md), or one that
+            scripts/build_head_model.py wrote; None for the bundled one.
 
     Raises:
-        UserError: the file is missing, too large or damaged.
+        UserError: the file is missing, too large, damaged, or its arrays do not fit together.
     """
-    path = ASSET if path is None else Path(path)
-    if not path.is_file():
-        raise UserError(f"no head model at {path}; rebuild it with scripts/build_head_model.py")
-    if path.stat().st_size > MAX_ASSET_BYTES:
-        raise UserError(f"{path} is larger than a head model can be ({MAX_ASSET_BYTES >> 20} MiB)")
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            return ParametricHead({key: file[key] for key in file.files}, "makehuman-cc0-1")
-    except (OSError, KeyError, ValueError, IndexError) as error:
-        raise UserError(f"cannot read the head model {path}: {error}") from error
+    return _bundled() if path is None else _load(Path(path))

@@ -46,7 +46,7 @@ def catmull_clark(quads: np.ndarray, vertices: int) -> tuple[sparse.csr_matrix, 
         rim_edges.T @ ends - sparse.diags(np.asarray(rim_edges.sum(axis=0)).ravel())
     )
     moved = sparse.diags(np.where(on_rim, 0.0, 1.0)) @ smooth + sparse.diags(np.where(on_rim, 1.0, 0.0)) @ rim
-    matrix = sparse.vstack([moved, edge_points, face_points]).tocsr()
+    matrix = sparse.csr_matrix(sparse.vstack([moved, edge_points, face_points]))
     edge_index = vertices + inverse
     face_index = vertices + len(edges) + np.arange(count)
     fine = np.stack(
@@ -58,10 +58,10 @@ def catmull_clark(quads: np.ndarray, vertices: int) -> tuple[sparse.csr_matrix, 
 
 def subdivide(quads: np.ndarray, vertices: int, levels: int) -> tuple[sparse.csr_matrix, np.ndarray]:
     """Several levels at once: matrix (V', V) and the fine quads."""
-    matrix: sparse.csr_matrix = sparse.identity(vertices, format="csr")
+    matrix, count = sparse.csr_matrix(sparse.identity(vertices)), vertices
     for _ in range(levels):
-        step, quads = catmull_clark(quads, matrix.shape[0])
-        matrix = step @ matrix
+        step, quads = catmull_clark(quads, count)
+        matrix, count = sparse.csr_matrix(step @ matrix), len(step.indptr) - 1
     return matrix, quads
 
 

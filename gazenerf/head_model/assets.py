@@ -1,0 +1,48 @@
+"""Reading `.npz` files of arrays that nobody vouches for: bounded, without pickle."""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+from gazenerf.errors import UserError
+
+BUNDLED = Path(__file__).parent.parent / "assets" / "head_model.npz"
+MAX_FILE_BYTES = 512 * 2**20
+MAX_ARRAY_BYTES = 2 * 2**30
+MAX_ARRAYS = 64
+
+
+def read_arrays(path: Path) -> dict[str, np.ndarray]:
+    """All arrays of an `.npz` file.
+
+    The sizes are checked before anything is unpacked, pickled objects are refused, and every
+    number has to be finite.
+
+    Raises:
+        UserError: the file is missing, too large, damaged, or holds objects, NaN or infinities.
+    """
+    if not path.is_file():
+        raise UserError(f"no head model at {path}; give an .npz file as docs/head-model.md describes it")
+    if path.stat().st_size > MAX_FILE_BYTES:
+        raise UserError(f"{path} is larger than a head model can be ({MAX_FILE_BYTES >> 20} MiB)")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
+        if len(members) > MAX_ARRAYS or sum(member.file_size for member in members) > MAX_ARRAY_BYTES:
+            raise UserError(
+                f"{path} unpacks to more than a head model can hold ({MAX_ARRAYS} arrays, {MAX_ARRAY_BYTES >> 20} MiB)"
+            )
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {key: np.asarray(file[key]) for key in file.files}
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
+        raise UserError(f"cannot read the head model {path}: {error}; write it anew with numpy.savez") from error
+    except MemoryError as error:
+        raise UserError(f"{path} states arrays larger than this machine's memory; write it anew") from error
+    for key, array in arrays.items():
+        if array.dtype.kind == "f" and not np.isfinite(array).all():
+            raise UserError(f"{path}: `{key}` holds NaN or infinite values")
+    return arrays

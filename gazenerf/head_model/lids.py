@@ -1,0 +1,92 @@
+"""Lids: how they follow the gaze, rest on the eyeball, and shade it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gazenerf.geometry import Gaze
+
+LID_OPENING = np.array([1.3, 1.65, 1.0])
+"""How much wider, in x and y, the lids open on the anatomical eyeball than on the source's larger one."""
+
+LID_PITCH, LID_YAW = np.deg2rad(28.0), np.deg2rad(38.0)
+"""Gaze angles at which the eyeLook lid shapes are fully on."""
+
+LID_LIMIT = 1.2
+"""Largest eyeLook coefficient that a gaze asks for."""
+
+
+def lid_coefficients(names: Sequence[str], gaze: Gaze) -> np.ndarray:
+    """Expression coefficients that make the lids follow a gaze.
+
+    Args:
+        names: Names of the E expression coefficients; ARKit's eyeLook* among them are driven.
+        gaze: Head frame.
+
+    Returns:
+        (E,) float32, zero for all other coefficients.
+    """
+    out = np.zeros(len(names), dtype=np.float32)
+    up, left = gaze.pitch / LID_PITCH, gaze.yaw / LID_YAW
+    amounts = {
+        "eyeLookUpLeft": up,
+        "eyeLookUpRight": up,
+        "eyeLookDownLeft": -up,
+        "eyeLookDownRight": -up,
+        "eyeLookOutLeft": left,
+        "eyeLookInRight": left,
+        "eyeLookInLeft": -left,
+        "eyeLookOutRight": -left,
+    }
+    for i, name in enumerate(names):
+        if name in amounts:
+            out[i] = np.clip(amounts[name], 0.0, LID_LIMIT)
+    return out
+
+
+def fit_lids(vertices: np.ndarray, old: np.ndarray, old_radius: float, new: np.ndarray, radius: float) -> np.ndarray:
+    """Move the skin about one eyeball so that it lies as closely about another one.
+
+    Args:
+        vertices: (V, 3).
+        old: (3,) centre of the eyeball that the skin was made for, and its radius.
+        new: (3,) centre of the eyeball to fit, and its radius.
+
+    Returns:
+        (V, 3).
+    """
+    offset = vertices - old
+    distance = np.maximum(np.linalg.norm(offset, axis=1, keepdims=True), 1e-6)
+    gap = distance - old_radius
+    weight = 1.0 - smoothstep(0.02, 0.16, gap)
+    direction = offset / distance
+    opened = direction * LID_OPENING
+    opened /= np.maximum(np.linalg.norm(opened, axis=1, keepdims=True), 1e-6)
+    ahead = smoothstep(0.1, 0.5, direction[:, 2:])
+    direction = direction + ahead * (opened - direction)
+    target = new + direction * (radius + gap)
+    return vertices + weight * (target - vertices)
+
+
+def push_out(vertices: np.ndarray, centre: np.ndarray, radius: float) -> np.ndarray:
+    """Move the vertices (V, 3) inside a ball to its surface, in place; returns them."""
+    near = np.flatnonzero((np.abs(vertices - centre) < radius).all(axis=1))
+    offset = vertices[near] - centre
+    distance = np.maximum(np.linalg.norm(offset, axis=1, keepdims=True), 1e-6)
+    vertices[near] = centre + offset * np.maximum(1.0, radius / distance)
+    return vertices
+
+
+def lid_shadow(directions: np.ndarray) -> np.ndarray:
+    """(V,) share of light that the lids let onto an eyeball, from unit directions (V, 3) in the head frame."""
+    upper = smoothstep(0.12, 0.62, directions[:, 1])
+    corner = smoothstep(0.45, 0.9, np.abs(directions[:, 0]))
+    return (1.0 - 0.55 * upper) * (1.0 - 0.35 * corner) * (1.0 - 0.15 * smoothstep(0.3, 0.8, -directions[:, 1]))
+
+
+def smoothstep(low: float, high: float, values: np.ndarray) -> np.ndarray:
+    """Cubic step from 0 at `low` to 1 at `high`."""
+    t = np.clip((values - low) / (high - low), 0.0, 1.0)
+    return t * t * (3.0 - 2.0 * t)
