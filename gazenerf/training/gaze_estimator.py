@@ -1,0 +1,167 @@
+"""A small network that reads the gaze, in the head frame, off a picture of a whole head.
+
+It looks twice: once at the whole picture, small, to see how the head is turned and where the eyes
+are, and once at a window around each eye at full resolution. It serves the functional loss (paper
+Sec. 3.2) and the measurement of redirected pictures.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import nn
+from torch.nn import functional as F
+
+from gazenerf.errors import UserError
+from gazenerf.files import whole_file
+
+FORMAT = "gazenerf-gaze-estimator-1"
+BUNDLED = Path(__file__).parent.parent / "assets" / "gaze_estimator.safetensors"
+MAX_BYTES = 64 * 2**20
+
+INPUT = 256
+"""Pictures are resized to this side first."""
+
+OVERVIEW = 64
+"""Side of the small picture of the whole head."""
+
+WINDOW = (32, 48)
+"""Height and width, in pixels of the resized picture, of the window around an eye."""
+
+
+class Reading(NamedTuple):
+    """What the network says about pictures.
+
+    Attributes:
+        gaze: (B, 2) float32 pitch, yaw in radians, head frame.
+        eyes: (B, 2, 2) float32 x, y of the eyeball centres, left then right (the subject's), in
+            [-1, 1] over the picture.
+        towards: (B, 3) float32 unit direction from the head's origin to the camera, head frame.
+    """
+
+    gaze: torch.Tensor
+    eyes: torch.Tensor
+    towards: torch.Tensor
+
+
+def _block(inputs: int, outputs: int, stride: int) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Conv2d(inputs, outputs, 3, stride, 1, bias=False), nn.BatchNorm2d(outputs), nn.ReLU(inplace=True)
+    )
+
+
+class GazeEstimator(nn.Module):
+    """See the module's docstring. About 0.6 million parameters.
+
+    Attributes:
+        about: Training data and held-out error, JSON-able.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.about: dict[str, Any] = {}
+        self.overview = nn.Sequential(
+            _block(3, 16, 2), _block(16, 32, 2), _block(32, 64, 2), _block(64, 64, 1), _block(64, 64, 2), nn.Flatten(),
+            nn.Linear(64 * 16, 128), nn.ReLU(inplace=True),
+        )  # fmt: skip
+        self.place = nn.Linear(128, 4 + 3)
+        self.eye = nn.Sequential(
+            _block(3, 16, 1), _block(16, 32, 2), _block(32, 48, 2), _block(48, 64, 2), nn.Flatten(),
+            nn.Dropout(0.2), nn.Linear(64 * (WINDOW[0] // 8) * (WINDOW[1] // 8), 96), nn.ReLU(inplace=True),
+        )  # fmt: skip
+        self.head = nn.Sequential(nn.Linear(2 * 96 + 128 + 7, 128), nn.ReLU(inplace=True), nn.Linear(128, 2))
+
+    def forward(self, images: torch.Tensor) -> torch.Tensor:
+        """Gaze (B, 2) of sRGB pictures (B, 3, H, W) in [0, 1] on black: `read(images).gaze`."""
+        return self.read(images).gaze
+
+    def read(self, images: torch.Tensor, eyes: torch.Tensor | None = None) -> Reading:
+        """Everything the network says.
+
+        Args:
+            images: (B, 3, H, W) sRGB in [0, 1], square, the head as a neutral camera sees it.
+            eyes: (B, 2, 2) where to look instead of where the network found the eyes (training).
+        """
+        if images.shape[-1] != INPUT or images.shape[-2] != INPUT:
+            images = F.interpolate(images, (INPUT, INPUT), mode="bilinear", antialias=True, align_corners=False)
+        small = F.interpolate(images, (OVERVIEW, OVERVIEW), mode="area")
+        whole = self.overview(small - 0.5)
+        placed = self.place(whole).float()
+        found = placed[:, :4].reshape(-1, 2, 2)
+        looked_at = found.detach() if eyes is None else eyes
+        windows = [
+            torch.flip(_window(images, looked_at[:, i]), dims=(3,)) if i else _window(images, looked_at[:, i])
+            for i in (0, 1)
+        ]
+        seen = self.eye(torch.cat(windows))
+        left, right = seen.chunk(2)
+        gaze = self.head(torch.cat([left, right, whole, placed.detach().to(left.dtype)], dim=1)).float()
+        return Reading(gaze, found, F.normalize(placed[:, 4:], dim=1))
+
+
+def _window(images: torch.Tensor, centre: torch.Tensor) -> torch.Tensor:
+    """(B, 3, *WINDOW) of pictures (B, 3, INPUT, INPUT) about points (B, 2) in [-1, 1], contrast evened."""
+    height, width = WINDOW
+    x = (torch.arange(width, device=images.device) - (width - 1) / 2) * (2.0 / INPUT)
+    y = (torch.arange(height, device=images.device) - (height - 1) / 2) * (2.0 / INPUT)
+    offsets = torch.stack(torch.meshgrid(x, y, indexing="xy"), dim=-1)
+    grid = centre[:, None, None] + offsets[None]
+    with torch.autocast(images.device.type, enabled=False):
+        cut = F.grid_sample(images.float(), grid.float(), mode="bilinear", align_corners=False)
+    mean = cut.mean((1, 2, 3), keepdim=True)
+    return (cut - mean) / (cut.std((1, 2, 3), keepdim=True) + 0.05)
+
+
+def save_gaze_estimator(estimator: GazeEstimator, path: str | Path) -> None:
+    """Write an estimator as one safetensors file, floating-point weights as float16."""
+    tensors = {
+        name: (value.detach().cpu().half() if value.is_floating_point() else value.detach().cpu()).contiguous()
+        for name, value in estimator.state_dict().items()
+    }
+    with whole_file(path) as temporary:
+        save_file(tensors, temporary, metadata={"format": FORMAT, "about": json.dumps(estimator.about)})
+
+
+def load_gaze_estimator(path: str | Path | None = None) -> GazeEstimator:
+    """A frozen estimator; the bundled one when `path` is None. Calling it gives gaze (B, 2).
+
+    Raises:
+        UserError: missing, too large, damaged, of other shapes, or not finite.
+    """
+    path = BUNDLED if path is None else Path(path)
+    if not path.is_file():
+        raise UserError(f"no gaze estimator at {path}; train one with scripts/train_gaze_estimator.py")
+    if path.stat().st_size > MAX_BYTES:
+        raise UserError(f"{path} is larger than a gaze estimator can be ({MAX_BYTES >> 20} MiB)")
+    try:
+        with safe_open(path, framework="pt") as file:
+            metadata = file.metadata() or {}
+            if metadata.get("format") != FORMAT:
+                raise ValueError(f"its format is {metadata.get('format')!r}")
+            about = json.loads(metadata["about"])
+            weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        estimator = GazeEstimator()
+        for name, value in weights.items():
+            if value.is_floating_point() and not bool(torch.isfinite(value).all()):
+                raise ValueError(f"{name} holds NaN or infinite values")
+        estimator.load_state_dict(weights)
+    except (SafetensorError, OSError, KeyError, ValueError, RuntimeError, TypeError) as error:
+        raise UserError(f"cannot read the gaze estimator {path}: {str(error).splitlines()[0]}") from error
+    estimator.about = about
+    return estimator.eval().requires_grad_(False)
+
+
+def estimate_gaze(images: torch.Tensor, estimator: GazeEstimator | None = None) -> torch.Tensor:
+    """Gaze (B, 2) = (pitch up, yaw left) radians, head frame, of sRGB pictures (B, 3, H, W) in [0, 1].
+
+    Differentiable in the pictures.
+
+    Raises:
+        UserError: no estimator is given and none is bundled.
+    """
+    return (load_gaze_estimator() if estimator is None else estimator)(images)
