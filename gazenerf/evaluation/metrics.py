@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 
@@ -35,7 +37,7 @@ def ssim(image: np.ndarray, target: np.ndarray, mask: np.ndarray | None = None) 
     """
     from skimage.metrics import structural_similarity
 
-    _, local = structural_similarity(
+    result: Any = structural_similarity(
         image.astype(np.float64),
         target.astype(np.float64),
         data_range=1.0,
@@ -45,7 +47,7 @@ def ssim(image: np.ndarray, target: np.ndarray, mask: np.ndarray | None = None) 
         use_sample_covariance=False,
         full=True,
     )
-    local = np.asarray(local).mean(axis=-1)
+    local = np.asarray(result[1]).mean(axis=-1)
     chosen = local.reshape(-1) if mask is None else local[mask]
     return float(chosen.mean()) if chosen.size else float("nan")
 

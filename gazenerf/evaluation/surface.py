@@ -1,0 +1,77 @@
+"""Depth and surface of a field against what a capture and the head model know."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from gazenerf.field.interface import GeometryView
+from gazenerf.head_model.interface import HeadMesh
+
+
+def halved_depth(depth: np.ndarray, max_step: float = 0.05) -> np.ndarray:
+    """(H/2, W/2) depth at the centres of 2 x 2 blocks, NaN at holes and edges.
+
+    Args:
+        depth: (H, W) Euclidean, world units, 0 or NaN where there is no surface; even sides.
+        max_step: World units; blocks that span more straddle an edge.
+    """
+    height, width = depth.shape
+    if height % 2 or width % 2:
+        raise ValueError(f"a depth map of {width}x{height} cannot be halved")
+    blocks = depth.reshape(height // 2, 2, width // 2, 2).transpose(0, 2, 1, 3).reshape(height // 2, width // 2, 4)
+    good = (np.nan_to_num(blocks) > 0).all(-1)
+    low, high = blocks.min(-1), blocks.max(-1)
+    good &= np.nan_to_num(high - low, nan=np.inf) <= max_step
+    return np.where(good, blocks.mean(-1), np.nan)
+
+
+def depth_errors(geometry: GeometryView, depth: np.ndarray) -> np.ndarray:
+    """Absolute depth differences, world units, on the pixels where both have a surface.
+
+    Args:
+        geometry: Its depth is (H, W).
+        depth: (H, W) NaN where there is no surface.
+    """
+    both = np.isfinite(geometry.depth) & np.isfinite(depth)
+    return np.abs(geometry.depth[both] - depth[both])
+
+
+def silhouette_iou(geometry: GeometryView, coverage: np.ndarray) -> float:
+    """Intersection over union of opacity above one half and coverage (H, W) above one half."""
+    a, b = geometry.opacity > 0.5, coverage > 0.5
+    union = float((a | b).sum())
+    return float((a & b).sum()) / union if union else float("nan")
+
+
+def surface_points(geometry: GeometryView) -> np.ndarray:
+    """(N, 3) world points of the pixels that show a surface."""
+    seen = np.isfinite(geometry.depth)
+    origins, rays = geometry.camera.rays()
+    return origins[seen] + geometry.depth[seen][:, None] * rays[seen]
+
+
+class MeshDistance:
+    """Distance to a mesh's surface, by its nearest vertex's or face centre's tangent plane.
+
+    The plane's distance is used within a few edge lengths of the surface, the distance to the sample beyond.
+
+    Args:
+        mesh: The head.
+    """
+
+    def __init__(self, mesh: HeadMesh) -> None:
+        corners = mesh.vertices[mesh.faces].astype(np.float64)
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+        good = lengths[:, 0] > 1e-12
+        self._points = np.concatenate([corners[good].mean(1), mesh.vertices.astype(np.float64)])
+        self._normals = np.concatenate([normals[good] / lengths[good], mesh.normals.astype(np.float64)])
+        self._tree = KDTree(self._points)
+        self._near = 3.0 * float(np.sqrt(np.median(lengths)))
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        """(N,) unsigned distances, world units, of points (N, 3)."""
+        gap, nearest = self._tree.query(points)
+        plane = np.abs(((points - self._points[nearest]) * self._normals[nearest]).sum(-1))
+        return np.where(gap <= self._near, np.minimum(plane, gap), gap)
