@@ -125,7 +125,7 @@ def summary_table(title: str, rows: Mapping[str, object]) -> None:
     for name, value in rows.items():
         shown = f"{value} ({file_size(value)})" if isinstance(value, Path) and value.is_file() else str(value)
         table.add_row(name, shown)
-    Console().print(table, markup=False, highlight=False)
+    Console(markup=False, highlight=False).print(table)
 
 
 def file_size(path: Path) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import importlib
+import importlib.util
 import os
 import sys
 import warnings
@@ -42,17 +42,34 @@ class Parser(argparse.ArgumentParser):
 
 
 def load_command(name: str) -> ModuleType:
-    """The module of a command, with `HELP`, `configure(parser)` and `run(args) -> int`."""
-    return importlib.import_module(f"gazenerf.cli.{name.replace('-', '_')}")
+    """The module of a command, with `HELP`, `configure(parser)` and `run(args) -> int`.
+
+    Raises:
+        UserError: this installation lacks it.
+    """
+    if not is_installed(name):
+        raise UserError(f"this installation has no {name} command; install gazenerf again")
+    return importlib.import_module(_module(name))
 
 
-def build_parser(configured: Iterable[str] = tuple(COMMANDS)) -> argparse.ArgumentParser:
+def is_installed(name: str) -> bool:
+    """Whether this installation has the command's module; nothing is loaded."""
+    return importlib.util.find_spec(_module(name)) is not None
+
+
+def _module(name: str) -> str:
+    return f"gazenerf.cli.{name.replace('-', '_')}"
+
+
+def build_parser(configured: Iterable[str] | None = None) -> argparse.ArgumentParser:
     """The parser of the whole command line.
 
     Args:
         configured: Commands whose modules are loaded and whose arguments are added; the others are
-            only listed, which keeps `gazenerf --help` quick.
+            only listed, which keeps `gazenerf --help` quick. All that are installed by default.
     """
+    if configured is None:
+        configured = [name for name in COMMANDS if is_installed(name)]
     parser = Parser(
         prog="gazenerf",
         description="See, measure and take out the 3D inside a gaze-redirecting head field.",
@@ -78,7 +95,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit code: 0 done, 1 a measured threshold failed, 2 the user can fix it, 130 interrupted.
     """
     words = list(sys.argv[1:] if argv is None else argv)
-    asked = next((word for word in words if not word.startswith("-")), None)
+    asked = words[0] if words else ""
     warnings.showwarning = _one_line
     try:
         args = build_parser([asked] if asked in COMMANDS else []).parse_args(words)

@@ -31,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
     for row in rows:
         about = ", ".join(f"{key} {value}" for key, value in row["provenance"].items())
         table.add_row(row["name"], row["training"], ", ".join(map(str, row["code_sizes"])), about)
-    Console().print(table, markup=False, highlight=False)
+    Console(markup=False, highlight=False).print(table)
     return 0
 
 
