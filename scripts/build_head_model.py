@@ -3,8 +3,8 @@
     pip install "gazenerf[head-asset]" && python scripts/build_head_model.py
 
 Samples adult heads, crops them to head and neck, fits a linear identity basis by principal
-components, and paints a linear albedo basis. Takes about three minutes; the same seed gives the
-same asset.
+components, and paints a linear albedo basis. Takes about four minutes; the same seed gives the
+same asset, up to the signs of the identity components, which the linear-algebra library chooses.
 """
 
 from __future__ import annotations
@@ -202,7 +202,8 @@ def build(count: int, seed: int) -> dict[str, np.ndarray]:
     uv = np.zeros((len(neutral), 2))
     uv[quads.ravel()] = raw["uv"][raw["uv_quads"].ravel()]
     uv = np.concatenate([uv[used], np.full((2 * len(rim) + 1, 2), -1.0)])
-    marks = find_landmarks(fine, faces, new_eyes, matrix, uv)
+    drop = -(matrix @ actions[raw["action_names"].tolist().index("jawOpen")])[:, 1]
+    marks = find_landmarks(fine, faces, new_eyes, matrix, uv, drop)
     occlusion = occlusion_of(fine, faces, vertex_normals(fine, faces), new_eyes)
     albedo_mean, albedo_basis = paint(fine, new_eyes, matrix, uv, marks)
     scale = np.abs(albedo_basis).reshape(len(albedo_basis), -1).max(axis=1) / 127.0

@@ -74,9 +74,17 @@ def eye_marks(fine: np.ndarray, faces: np.ndarray, centre: np.ndarray, outer: fl
 
 
 def find_landmarks(
-    fine: np.ndarray, faces: np.ndarray, eyes: np.ndarray, matrix: sparse.csr_matrix, uv: np.ndarray
+    fine: np.ndarray,
+    faces: np.ndarray,
+    eyes: np.ndarray,
+    matrix: sparse.csr_matrix,
+    uv: np.ndarray,
+    jaw_drop: np.ndarray,
 ) -> np.ndarray:
-    """(68,) fine vertices of the standard landmarks, the subject's right jaw first."""
+    """(68,) fine vertices of the standard landmarks, the subject's right jaw first.
+
+    `jaw_drop` (V,) is how far each fine vertex sinks when the jaw opens; it tells the lips apart.
+    """
     marks = np.zeros(68, dtype=np.int64)
     fine_uv = matrix @ uv
     lips = mask("lips", fine_uv) > 0.5
@@ -85,7 +93,7 @@ def find_landmarks(
     for i in range(17):
         angle = np.pi + np.pi * i / 16
         direction = np.array([np.cos(angle), np.sin(angle)])
-        offset = fine[:, :2] - np.array([0.0, -0.35])
+        offset = fine[:, :2] - np.array([0.0, -0.14])
         along, across = offset @ direction, np.abs(offset @ np.array([-direction[1], direction[0]]))
         marks[i] = np.argmax(np.where(jaw & (across < 0.04), along, -np.inf))
     for i in range(5):
@@ -109,23 +117,25 @@ def find_landmarks(
     seen_lips = np.flatnonzero(lips & (fine[:, 2] > fine[lips, 2].max() - 0.28))
     span = fine[seen_lips, 0].min(), fine[seen_lips, 0].max()
 
-    def lip(x: float, which: str) -> int:
+    def outer_lip(x: float, upper: bool) -> int:
         near = seen_lips[np.abs(fine[seen_lips, 0] - x) < 0.025]
-        order = near[np.argsort(fine[near, 1])]
-        if which == "inner":
-            inner = order[(len(order) // 4) : max(len(order) // 4 + 1, 3 * len(order) // 4)]
-            return int(inner[np.argmin(fine[inner, 2])])
-        return int(order[-1] if which == "upper" else order[0])
+        return int(near[np.argmax(fine[near, 1] if upper else -fine[near, 1])])
+
+    def inner_lip(x: float, upper: bool) -> int:
+        near = seen_lips[(np.abs(fine[seen_lips, 0] - x) < 0.012) & ((jaw_drop[seen_lips] < 0.1) == upper)]
+        height = -fine[near, 1] if upper else fine[near, 1]
+        edge = near[height > height.max() - 0.004]
+        return int(edge[np.argmax(fine[edge, 2])])
 
     corner = {-1: int(seen_lips[np.argmin(fine[seen_lips, 0])]), 1: int(seen_lips[np.argmax(fine[seen_lips, 0])])}
     marks[48], marks[54] = corner[-1], corner[1]
     for i in range(1, 6):
         x = span[0] + (span[1] - span[0]) * i / 6
-        marks[48 + i], marks[60 - i] = lip(x, "upper"), lip(x, "lower")
+        marks[48 + i], marks[60 - i] = outer_lip(x, True), outer_lip(x, False)
     marks[60], marks[64] = marks[48], marks[54]
     for i, share in enumerate((0.3, 0.5, 0.7)):
         x = span[0] + (span[1] - span[0]) * share
-        marks[61 + i] = marks[67 - i] = lip(x, "inner")
+        marks[61 + i], marks[67 - i] = inner_lip(x, True), inner_lip(x, False)
     return marks
 
 

@@ -106,7 +106,7 @@ class GenericHead:
             raise self._wrong(f"`{key}` must hold numbers of shape ({wanted}), got {value.dtype} {value.shape}")
         if not np.isfinite(value).all():
             raise self._wrong(f"`{key}` holds NaN or infinite values")
-        return np.ascontiguousarray(value, dtype=np.float32)
+        return np.array(value, dtype=np.float32)
 
     def _basis(self, arrays: dict[str, np.ndarray], key: str, count: int) -> np.ndarray:
         if key not in arrays:

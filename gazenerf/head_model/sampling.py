@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gazenerf.head_model.eyes import IRIS_CODES
+from gazenerf.head_model.generic import GenericHead
 from gazenerf.head_model.model import ParametricHead
 from gazenerf.head_model.shading import sample_illumination
 from gazenerf.subjects import Codes
@@ -13,10 +14,17 @@ _ALONE = ("jawOpen", "mouthSmileLeft", "mouthPucker", "browInnerUp", "mouthFunne
           "browDownLeft", "mouthShrugUpper", "noseSneerLeft", "cheekPuff")  # fmt: skip
 
 
-def sample_person(rng: np.random.Generator, model: ParametricHead) -> Codes:
-    """Codes of a random adult with a neutral expression and a random portrait light."""
+def sample_person(rng: np.random.Generator, model: ParametricHead | GenericHead) -> Codes:
+    """Codes of a random person with a neutral expression and a random portrait light.
+
+    The bundled model's texture codes follow what is plausible together (skin, hair and iris tone);
+    those of other models are drawn independently.
+    """
     identity, expression, texture, _ = model.code_sizes
     skin = texture - IRIS_CODES
+    if isinstance(model, GenericHead):
+        shape, look = (np.clip(rng.normal(0, 0.85, size), -2.0, 2.0) for size in (identity, texture))
+        return Codes(shape, np.zeros(expression), look, sample_illumination(rng))
     look = np.zeros(texture)
     look[:skin] = np.clip(rng.normal(0, 0.8, skin), -1.8, 1.8)
     melanin = float(np.clip(rng.uniform(-1.55, 1.5), -1.5, 1.45))
@@ -36,15 +44,21 @@ def sample_person(rng: np.random.Generator, model: ParametricHead) -> Codes:
     )
 
 
-def sample_expression(rng: np.random.Generator, model: ParametricHead) -> np.ndarray:
-    """(E,) expression coefficients: mostly near neutral, some strong, lids partly closed at times."""
+def sample_expression(rng: np.random.Generator, model: ParametricHead | GenericHead) -> np.ndarray:
+    """(E,) expression coefficients: mostly near neutral, some strong, lids partly closed at times.
+
+    Only ARKit's names are driven; a model without them stays neutral.
+    """
     out = np.zeros(len(model.expression_names), dtype=np.float32)
     index = {name: i for i, name in enumerate(model.expression_names)}
 
     def put(name: str, amount: float) -> None:
-        out[index[name]] = np.clip(amount, 0.0, 1.0)
+        sides = [(name, 1.0)]
         if name.endswith("Left"):
-            out[index[name.replace("Left", "Right")]] = np.clip(amount * rng.uniform(0.8, 1.0), 0.0, 1.0)
+            sides.append((name.replace("Left", "Right"), rng.uniform(0.8, 1.0)))
+        for side, share in sides:
+            if side in index:
+                out[index[side]] = np.clip(amount * share, 0.0, 1.0)
 
     strong = rng.random() < 0.4
     for name in rng.choice(_ALONE, 3 if strong else 1, replace=False):
