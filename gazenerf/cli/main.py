@@ -18,7 +18,7 @@ COMMANDS = {
     "demo": "orbit, gaze grid, meshes and check of the bundled subject in one folder",
     "orbit": "render a video that flies around a head while its eyes turn",
     "sheet": "put many gazes or views of a head into one labelled picture",
-    "mesh": "extract the face and the eyes as meshes",
+    "mesh": "extract face and eye meshes from the density volumes",
     "check": "measure a field's geometry against renders of the subject's head model",
     "synthesize": "render captures of synthetic people to train on",
     "train": "train a two-stream field on captures",
