@@ -153,8 +153,8 @@ PRESETS: dict[str, FieldConfig] = {
     "paper": dataclasses.replace(PAPER, background="zeros"),
     "small": FieldConfig(
         image_size=256,
-        feature_channels=96,
-        hidden=256,
+        feature_channels=72,
+        hidden=192,
         merge="joint",
         background="zeros",
         sampler="guided",

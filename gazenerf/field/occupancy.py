@@ -27,7 +27,9 @@ class Occupancy:
     box: torch.Tensor
 
     @classmethod
-    def of(cls, density: Density, box: torch.Tensor, size: int = 64, threshold: float = 0.5, margin: int = 2) -> Occupancy:
+    def of(
+        cls, density: Density, box: torch.Tensor, size: int = 64, threshold: float = 0.5, margin: int = 2
+    ) -> Occupancy:
         """Sample a density at the cell centres and grow what exceeds the threshold (per world unit) by `margin` cells.
 
         The default margin, about 9 mm for the bundled box, covers how far lids move with the gaze.

@@ -45,7 +45,7 @@ class TrainConfig:
     field_overrides: dict[str, Any] = dataclasses.field(default_factory=dict)
     steps: int = 6000
     batch: int = 2
-    learning_rate: float = 1e-3
+    learning_rate: float = 7e-4
     final_learning_rate: float = 3e-5
     warmup: int = 100
     shell: float | None = 0.25
@@ -60,9 +60,9 @@ class TrainConfig:
     learn_codes: bool = False
     learn_cameras: bool = False
     depth: float = 1.0
-    surface: float = 4.0
+    surface: float = 3.0
     opacity: float = 1.0
-    empty: float = 0.005
+    empty: float = 0.01
     eyeball: float = 0.02
     background_weight: float = 0.5
     eyes_weight: float = 1.0

@@ -10,15 +10,19 @@ from gazenerf.field.compositing import composite, composite_joint
 from gazenerf.field.eye_motion import rotate_features
 from gazenerf.field.model import TwoStreamField
 from gazenerf.field.sampling import shell_samples, slab_samples
+from gazenerf.field.streams import StreamCondition
 from gazenerf.training.batches import EYE_CROP, Batch
 
 FREE_MARGIN = 0.08
 """World units in front of a captured surface that may hold density."""
 
+FREE_REACH = 0.5
+"""Light that passes a surface counts as landing half this far from it, world units."""
+
 SCENE_RADIUS = 2.2
 """World units around the origin that are asked to be empty where nothing was captured."""
 
-FRONT, BEHIND, SOLID = 0.03, (0.015, 0.07), 80.0
+FRONT, BEHIND, SOLID = 0.03, (0.015, 0.12), 80.0
 """World units in front of a captured surface that are empty, the layer behind it that is solid, and
 the density per world unit asked for in that layer."""
 
@@ -108,7 +112,7 @@ def render_batch(
     points = batch.rays_o[:, :, None] + t[..., None] * batch.rays_d[:, :, None]
 
     two = config.streams == "two"
-    face = model.streams["face" if two else "head"]
+    face = model.stream("face" if two else "head")
     face_condition = face.condition(batch.shape_code, batch.appearance_code, label)
     density_face, hidden_face = face.query(points, face_condition)
     weights_face, opacity_face = composite(density_face, deltas)
@@ -132,7 +136,7 @@ def render_batch(
 
     eye_flat = batch.rays.gather(1, batch.eye_rays)
     t_eyes, deltas_eyes = _pick(t, batch.eye_rays), _pick(deltas, batch.eye_rays)
-    eyes = model.streams["eyes"]
+    eyes = model.stream("eyes")
     eyes_condition = eyes.condition(batch.shape_code, batch.appearance_code, label)
     density_eyes, hidden_eyes = eyes.query(_pick(points, batch.eye_rays), eyes_condition)
     weights_eyes, opacity_eyes = composite(density_eyes, deltas_eyes)
@@ -166,9 +170,10 @@ def render_batch(
         near_eye = torch.zeros_like(batch.valid).scatter(1, batch.eye_rays, batch.eye_valid)
         plain = batch.valid & ~near_eye
         joint = joint_face + joint_eyes
-        miss = (weights_face * (t - batch.distance[..., None]).abs()).sum(-1) / (opacity_face + 1e-2)
+        lost = 0.5 * FREE_REACH
+        miss = (weights_face * (t - batch.distance[..., None]).abs()).sum(-1) + lost * (1.0 - opacity_face)
         eye_distance = _pick(batch.distance, batch.eye_rays)
-        miss_eyes = (joint * (t_eyes - eye_distance[..., None]).abs()).sum(-1) / (joint_opacity + 1e-2)
+        miss_eyes = (joint * (t_eyes - eye_distance[..., None]).abs()).sum(-1) + lost * (1.0 - joint_opacity)
         eye_surface = _pick(batch.has_surface, batch.eye_rays) & batch.eye_valid
         surface = plain & batch.has_surface
         terms["depth"] = mean_over(miss, surface) + 0.2 * mean_over(miss_eyes, eye_surface)
@@ -187,7 +192,9 @@ def render_batch(
     return TrainingRender(picture(merged), eyes_picture, window, picture(face_map) if face_image else None, terms)
 
 
-def _empty_term(model: TwoStreamField, batch: Batch, face_condition, eyes_condition) -> torch.Tensor:
+def _empty_term(
+    model: TwoStreamField, batch: Batch, face_condition: StreamCondition, eyes_condition: StreamCondition
+) -> torch.Tensor:
     """Mean density of both streams where the captures saw nothing."""
     origin = batch.rays_o[:, :1]
     middle = origin.norm(dim=-1)
@@ -195,12 +202,14 @@ def _empty_term(model: TwoStreamField, batch: Batch, face_condition, eyes_condit
     near = middle - SCENE_RADIUS
     t = near + (far - near).clamp(min=0.0) * torch.rand_like(far)
     points = origin + t[..., None] * batch.free_d
-    face = model.streams["face"].query(points, face_condition, features=False)[0]
-    eyes = model.streams["eyes"].query(points, eyes_condition, features=False)[0]
+    face = model.stream("face").query(points, face_condition, features=False)[0]
+    eyes = model.stream("eyes").query(points, eyes_condition, features=False)[0]
     return face.mean() + eyes.mean()
 
 
-def _eyeball_term(model: TwoStreamField, batch: Batch, eyes_condition, count: int = 512) -> torch.Tensor:
+def _eyeball_term(
+    model: TwoStreamField, batch: Batch, eyes_condition: StreamCondition, count: int = 512
+) -> torch.Tensor:
     """The eyes stream is dense inside both eyeballs and empty outside them."""
     assert batch.eye_centres is not None
     centres, radius = batch.eye_centres, batch.eye_radius
@@ -212,7 +221,7 @@ def _eyeball_term(model: TwoStreamField, batch: Batch, eyes_condition, count: in
     wide = SCENE_RADIUS * (2 * torch.rand(b, count // 4, 3, device=centres.device) - 1)
     points = torch.cat([points, wide], dim=1)
     nearest = (points[:, :, None] - centres[:, None]).norm(dim=-1).amin(-1) / radius
-    density = model.streams["eyes"].query(points, eyes_condition, features=False)[0]
+    density = model.stream("eyes").query(points, eyes_condition, features=False)[0]
     outside = mean_over(density, nearest > EYE_OUTSIDE)
     inside = mean_over((EYE_DENSITY - density).clamp(min=0.0), nearest < EYE_INSIDE)
     return outside + inside

@@ -41,7 +41,7 @@ class Runtime:
         self.rank, self.world = 0, 1
         if devices > 1:
             try:
-                from lightning.fabric import Fabric
+                from lightning.fabric import Fabric  # pyright: ignore[reportMissingImports]
             except ImportError as error:
                 raise UserError("training on several devices needs: pip install gazenerf[multi-gpu]") from error
             self.fabric = Fabric(accelerator=device, devices=devices)

@@ -1,0 +1,103 @@
+"""Mesh files in metres with a sidecar that says what they are."""
+
+from __future__ import annotations
+
+import json
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import trimesh
+from trimesh.exchange.gltf import export_glb
+
+from gazenerf import __version__
+from gazenerf.field.interface import BoundField
+
+if TYPE_CHECKING:
+    from export.meshes import PartMesh
+
+FORMATS = ("glb", "ply", "obj")
+
+
+def in_metres(mesh: trimesh.Trimesh, metres_per_unit: float) -> trimesh.Trimesh:
+    """The same mesh scaled to metres, normals and colours kept."""
+    scaled = trimesh.Trimesh(
+        np.asarray(mesh.vertices) * metres_per_unit, mesh.faces, vertex_normals=mesh.vertex_normals, process=False
+    )
+    if mesh.visual.kind == "vertex":
+        scaled.visual = trimesh.visual.ColorVisuals(scaled, vertex_colors=mesh.visual.vertex_colors)
+    return scaled
+
+
+def _linear_colours(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """glTF's vertex colours are linear; pictures are sRGB."""
+    if mesh.visual.kind != "vertex":
+        return mesh
+    rgba = np.asarray(mesh.visual.vertex_colors).astype(np.float64) / 255.0
+    rgba[:, :3] = np.where(rgba[:, :3] <= 0.04045, rgba[:, :3] / 12.92, ((rgba[:, :3] + 0.055) / 1.055) ** 2.4)
+    copy = mesh.copy()
+    copy.visual = trimesh.visual.ColorVisuals(copy, vertex_colors=np.round(255 * rgba).astype(np.uint8))
+    return copy
+
+
+def _plain_material(tree: dict[str, Any]) -> None:
+    """Without a material a viewer shows metal; give every primitive a matt one."""
+    tree["materials"] = [
+        {"name": "matt", "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.8}, "doubleSided": True}
+    ]
+    for mesh in tree["meshes"]:
+        for primitive in mesh["primitives"]:
+            primitive["material"] = 0
+
+
+def write_mesh(extracted: PartMesh, bound: BoundField, folder: Path, formats: tuple[str, ...]) -> None:
+    """Write one part in every format, and its sidecar, to an existing folder."""
+    mesh = in_metres(extracted.mesh, bound.metres_per_unit)
+    name = extracted.part
+    for kind in formats:
+        path = folder / f"{name}.{kind}"
+        if kind == "glb":
+            scene = trimesh.Scene()
+            scene.add_geometry(_linear_colours(mesh), node_name=name, geom_name=name)
+            path.write_bytes(export_glb(scene, include_normals=True, tree_postprocessor=_plain_material))
+        elif kind == "ply":
+            mesh.export(path, file_type="ply", vertex_normal=True)
+        else:
+            mesh.export(path, file_type="obj", include_normals=True, include_color=True)
+    (folder / f"{name}.json").write_text(json.dumps(sidecar(extracted, bound), indent=2) + "\n")
+
+
+def sidecar(extracted: PartMesh, bound: BoundField) -> dict[str, Any]:
+    """What a mesh file is: frame, units, threshold, resolution, subject, gaze, weights, versions."""
+    mesh, threshold = extracted.mesh, extracted.threshold
+    metres = bound.metres_per_unit
+    return {
+        "part": extracted.part,
+        "units": "metres",
+        "frame": "right-handed, Y up, face toward +Z, +X toward the subject's left",
+        "metres_per_world_unit": metres,
+        "threshold_per_world_unit": threshold.level,
+        "threshold_choice": threshold.how,
+        "depth_disagreement_mm": None if np.isnan(threshold.depth_error_mm) else threshold.depth_error_mm,
+        "thresholds_tried": [{"level": level, "depth_disagreement_mm": error} for level, error in threshold.tried],
+        "grid": list(extracted.grid),
+        "voxel_mm": extracted.spacing * metres * 1000.0,
+        "field_queries": extracted.queries,
+        "steps": list(extracted.steps),
+        "vertices": len(mesh.vertices),
+        "faces": len(mesh.faces),
+        "watertight": bool(mesh.is_watertight),
+        "bounds_metres": (np.asarray(mesh.bounds) * metres).tolist(),
+        "subject": bound.subject.name,
+        "gaze_pitch_yaw_degrees": list(bound.gaze.degrees),
+        "weights_sha256_16": bound.weights_hash,
+        "versions": {"gazenerf": __version__, **{name: _version(name) for name in ("trimesh", "pyvista", "numpy")}},
+    }
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "absent"
