@@ -7,11 +7,11 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet --constraint constraints.txt
 TORCH_SOURCE := $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX))
 
-.PHONY: demo test lint setup clean
+.PHONY: demo test lint setup pictures clean
 .DELETE_ON_ERROR:
 
 demo: setup
-	$(BIN)/gazenerf demo --out $(OUT)
+	$(BIN)/gazenerf demo --out $(OUT) --overwrite
 
 test: .venv/.dev .venv/.libraries
 	$(BIN)/python -m pytest --cov --cov-report=term $(PYTEST)
@@ -21,6 +21,15 @@ lint: .venv/.dev
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 	$(BIN)/lint-imports
+
+# the pictures of README.md, made by the commands
+pictures: setup
+	$(BIN)/gazenerf orbit --out docs/images/orbit.webp --gaze-path circle --frames 48 --fps 16 --overwrite
+	$(BIN)/gazenerf orbit --out docs/images/panels.webp --panels image face eyes depth normals --size 128 \
+		--gaze-path sweep --frames 32 --fps 12 --overwrite
+	$(BIN)/gazenerf sheet --out docs/images/gaze-grid.png --kind gaze-grid --size 256 --overwrite
+	rm docs/images/*.webp.json
+	$(BIN)/python scripts/build_command_reference.py
 
 setup: .venv/.installed .venv/.libraries
 

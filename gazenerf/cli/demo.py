@@ -82,6 +82,7 @@ def run(args: argparse.Namespace) -> int:
     """
     if (args.out / RECORD).exists() and not args.overwrite:
         raise UserError(f"{args.out} holds an earlier demo; add --overwrite or choose another --out")
+    _check_writable(args.out)
     started = time.perf_counter()
     outcomes: dict[str, Outcome] = {}
     plan = stages(args.out, source_words(args), args.quick)
@@ -95,6 +96,13 @@ def run(args: argparse.Namespace) -> int:
     if any(outcome.left_out and not outcome.excused for outcome in outcomes.values()):
         return 2
     return max(outcome.code or 0 for outcome in outcomes.values())
+
+
+def _check_writable(out: Path) -> None:
+    from gazenerf.files import whole_folder
+
+    with whole_folder(out):
+        pass
 
 
 def source_words(args: argparse.Namespace) -> list[str]:
@@ -158,7 +166,7 @@ def _causes(error: BaseException) -> Iterator[BaseException]:
 
 def _finish(out: Path, plan: list[Stage], outcomes: dict[str, Outcome], seconds: float) -> None:
     """Write the record and print the table."""
-    from gazenerf.cli.common import summary_table
+    from gazenerf.cli.common import file_size, summary_table
     from gazenerf.files import whole_file
 
     record: dict[str, Any] = {"seconds": round(seconds, 1), "stages": {}}
@@ -178,8 +186,8 @@ def _finish(out: Path, plan: list[Stage], outcomes: dict[str, Outcome], seconds:
     with whole_file(out / RECORD) as temporary:
         temporary.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
     files = sorted(path for path in out.rglob("*") if path.is_file())
-    rows |= {str(path.relative_to(out)): path for path in files}
-    summary_table(f"demo in {seconds:.0f} s", rows)
+    rows |= {str(path.relative_to(out)): file_size(path) for path in files}
+    summary_table(f"demo in {out}, {seconds:.0f} s", rows)
 
 
 def _orbit_numbers(video: Path) -> dict[str, str]:
@@ -193,7 +201,17 @@ def _orbit_numbers(video: Path) -> dict[str, str]:
 
 
 def _mesh_numbers(folder: Path) -> dict[str, str]:
-    return {path.stem: str(_read(path)) for path in sorted(folder.glob("*.json"))}
+    return {path.stem: _mesh_line(_read(path)) for path in sorted(folder.glob("*.json"))}
+
+
+def _mesh_line(about: dict[str, Any]) -> str:
+    closed = "watertight" if about["watertight"] else "open"
+    off = about["depth_disagreement_mm"]
+    return (
+        f"{about['vertices']:,} vertices, {about['faces']:,} faces, {closed}, {about['voxel_mm']:.2f} mm voxels, "
+        f"threshold {about['threshold_per_world_unit']:g}"
+        + ("" if off is None else f", {off:.2f} mm median from the rendered depth")
+    )
 
 
 def _check_numbers(folder: Path) -> dict[str, str]:
