@@ -18,6 +18,7 @@ class TrainConfig:
         batch: Pictures a step.
         learning_rate: Peak learning rate of Adam (paper Sec. 4.2: 1e-4, constant).
         final_learning_rate: Where the cosine ends; equal to `learning_rate` keeps it constant.
+        density_learning_rate: How much faster the density layers learn.
         warmup: Steps of linear warm-up.
         shell: Half width, world units, of the shell of samples around the captured surface; None
             samples the published slabs.
@@ -47,6 +48,7 @@ class TrainConfig:
     batch: int = 2
     learning_rate: float = 7e-4
     final_learning_rate: float = 3e-5
+    density_learning_rate: float = 10.0
     warmup: int = 100
     shell: float | None = 0.25
     shell_samples: int = 10
@@ -102,6 +104,7 @@ PRESETS: dict[str, TrainConfig] = {
         steps=200_000,
         learning_rate=1e-4,
         final_learning_rate=1e-4,
+        density_learning_rate=1.0,
         warmup=0,
         shell=None,
         perceptual=1.0,

@@ -94,27 +94,38 @@ class GazeEstimator(nn.Module):
         placed = self.place(whole).float()
         found = placed[:, :4].reshape(-1, 2, 2)
         looked_at = found.detach() if eyes is None else eyes
-        windows = [
-            torch.flip(_window(images, looked_at[:, i]), dims=(3,)) if i else _window(images, looked_at[:, i])
-            for i in (0, 1)
-        ]
-        seen = self.eye(torch.cat(windows))
-        left, right = seen.chunk(2)
+        windows = torch.stack([eye_window(images, looked_at[:, i]) for i in (0, 1)], dim=1)
+        return self.read_windows(small, windows, (whole, placed))
+
+    def read_windows(
+        self, small: torch.Tensor, windows: torch.Tensor, known: tuple[torch.Tensor, torch.Tensor] | None = None
+    ) -> Reading:
+        """`read` from an overview (B, 3, OVERVIEW, OVERVIEW) and eye windows (B, 2, 3, *WINDOW) cut already.
+
+        Args:
+            known: What the overview gave, when it was read before.
+        """
+        if known is None:
+            whole = self.overview(small - 0.5)
+            placed = self.place(whole).float()
+        else:
+            whole, placed = known
+        mean = windows.mean((2, 3, 4), keepdim=True)
+        evened = (windows - mean) / (windows.std((2, 3, 4), keepdim=True) + 0.05)
+        left, right = self.eye(torch.cat([evened[:, 0], evened[:, 1].flip(3)])).chunk(2)
         gaze = self.head(torch.cat([left, right, whole, placed.detach().to(left.dtype)], dim=1)).float()
-        return Reading(gaze, found, F.normalize(placed[:, 4:], dim=1))
+        return Reading(gaze, placed[:, :4].reshape(-1, 2, 2), F.normalize(placed[:, 4:], dim=1))
 
 
-def _window(images: torch.Tensor, centre: torch.Tensor) -> torch.Tensor:
-    """(B, 3, *WINDOW) of pictures (B, 3, INPUT, INPUT) about points (B, 2) in [-1, 1], contrast evened."""
-    height, width = WINDOW
+def eye_window(images: torch.Tensor, centre: torch.Tensor, margin: int = 0) -> torch.Tensor:
+    """Pictures (B, 3, INPUT, INPUT) cut about points (B, 2) in [-1, 1]: (B, 3, *WINDOW), `margin` px more a side."""
+    height, width = WINDOW[0] + 2 * margin, WINDOW[1] + 2 * margin
     x = (torch.arange(width, device=images.device) - (width - 1) / 2) * (2.0 / INPUT)
     y = (torch.arange(height, device=images.device) - (height - 1) / 2) * (2.0 / INPUT)
     offsets = torch.stack(torch.meshgrid(x, y, indexing="xy"), dim=-1)
     grid = centre[:, None, None] + offsets[None]
     with torch.autocast(images.device.type, enabled=False):
-        cut = F.grid_sample(images.float(), grid.float(), mode="bilinear", align_corners=False)
-    mean = cut.mean((1, 2, 3), keepdim=True)
-    return (cut - mean) / (cut.std((1, 2, 3), keepdim=True) + 0.05)
+        return F.grid_sample(images.float(), grid.float(), mode="bilinear", align_corners=False)
 
 
 def save_gaze_estimator(estimator: GazeEstimator, path: str | Path) -> None:

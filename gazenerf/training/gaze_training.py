@@ -15,14 +15,14 @@ from torch.nn import functional as F
 from gazenerf.data.captures import Capture
 from gazenerf.errors import UserError
 from gazenerf.files import whole_file
-from gazenerf.training.gaze_estimator import INPUT, GazeEstimator
+from gazenerf.training.gaze_estimator import INPUT, OVERVIEW, WINDOW, GazeEstimator, eye_window
 from gazenerf.training.losses import angular_error, gaze_vectors
 
 VISIBLE_SHARE = 2e-4
 """Share of the picture's pixels that must show an eye for the gaze to be readable."""
 
-JITTER = 5.0
-"""Pixels of the resized picture by which training moves the eye windows."""
+JITTER = 5
+"""Whole pixels of the resized picture by which training moves the eye windows, at most."""
 
 
 @dataclass(frozen=True)
@@ -145,6 +145,7 @@ def train_gaze_estimator(
             raise
         except Exception as error:
             raise UserError(f"cannot resume from {state}: {error}; delete it") from error
+    cuts = _Cuts.of(data)
     steps = math.ceil(len(data) / batch)
     errors: dict[str, dict[str, float]] = {}
     for epoch in range(first, epochs):
@@ -160,9 +161,8 @@ def train_gaze_estimator(
             for group in optimizer.param_groups:
                 warm = min(1.0, (epoch * steps + step + 1) / 50)
                 group["lr"] = learning_rate * warm * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * share)))
-            images, gaze, eyes, towards = _augmented(data, rows)
-            moved = eyes + (2.0 * JITTER / INPUT) * (2.0 * torch.rand_like(eyes) - 1.0)
-            read = estimator.read(images, moved)
+            small, windows, gaze, eyes, towards = _augmented(data, cuts, rows)
+            read = estimator.read_windows(small, windows)
             loss = (
                 angular_error(gaze_vectors(read.gaze), gaze_vectors(gaze)).mean()
                 + 2.0 * (read.eyes - eyes).abs().mean()
@@ -195,22 +195,52 @@ def train_gaze_estimator(
     return estimator.eval()
 
 
+@dataclass(frozen=True)
+class _Cuts:
+    """The parts of pictures that training looks at, cut once: small (N, 3, .., ..), eyes (N, 2, 3, .., ..), uint8."""
+
+    small: torch.Tensor
+    eyes: torch.Tensor
+
+    @classmethod
+    def of(cls, data: EstimatorData) -> _Cuts:
+        small, eyes = [], []
+        for first in range(0, len(data), 64):
+            images = data.images[first : first + 64].float()
+            places = data.eyes[first : first + 64]
+            small.append(F.interpolate(images, (OVERVIEW, OVERVIEW), mode="area").round().to(torch.uint8))
+            cut = torch.stack([eye_window(images, places[:, i], JITTER) for i in (0, 1)], dim=1)
+            eyes.append(cut.round().to(torch.uint8))
+        return cls(torch.cat(small), torch.cat(eyes))
+
+
 def _augmented(
-    data: EstimatorData, rows: torch.Tensor
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    """A training batch: mirrored half the time, colours and sharpness varied."""
-    images = data.images[rows].float() / 255.0
+    data: EstimatorData, cuts: _Cuts, rows: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    """A batch: overviews, eye windows, gaze, eyes, towards; moved, mirrored, colours and sharpness varied."""
     gaze, eyes, towards = data.gaze[rows].clone(), data.eyes[rows].clone(), data.towards[rows].clone()
+    small, around = cuts.small[rows].float() / 255.0, cuts.eyes[rows].float() / 255.0
     n = len(rows)
+    windows = around.new_empty(n, 2, 3, *WINDOW)
+    moves = torch.randint(0, 2 * JITTER + 1, (n, 2, 2)).tolist()
+    for i in range(n):
+        for k, (row, column) in enumerate(moves[i]):
+            windows[i, k] = around[i, k, :, row : row + WINDOW[0], column : column + WINDOW[1]]
     flip = torch.rand(n) < 0.5
-    images[flip] = images[flip].flip(3)
+    small[flip] = small[flip].flip(3)
+    windows[flip] = windows[flip].flip((1, 4))
     gaze[flip, 1] *= -1.0
     eyes[flip] = eyes[flip].flip(1) * eyes.new_tensor([-1.0, 1.0])
     towards[flip, 0] *= -1.0
     soft = torch.rand(n) < 0.3
     if bool(soft.any()):
-        less = F.interpolate(images[soft], scale_factor=0.5, mode="area")
-        images[soft] = F.interpolate(less, (INPUT, INPUT), mode="bilinear", align_corners=False)
+        less = F.interpolate(windows[soft].flatten(0, 1), scale_factor=0.5, mode="area")
+        blurred = F.interpolate(less, WINDOW, mode="bilinear", align_corners=False)
+        windows[soft] = blurred.reshape(-1, 2, 3, *WINDOW)
     gain = 1.0 + 0.25 * (2.0 * torch.rand(n, 1, 1, 1) - 1.0) + 0.08 * torch.randn(n, 3, 1, 1)
-    images = (images.clamp(min=1e-4) ** (1.0 + 0.3 * (2.0 * torch.rand(n, 1, 1, 1) - 1.0))) * gain
-    return (images + 0.01 * torch.randn_like(images)).clamp(0.0, 1.0), gaze, eyes, towards
+    power = 1.0 + 0.3 * (2.0 * torch.rand(n, 1, 1, 1) - 1.0)
+    small = small.clamp(min=1e-4) ** power * gain
+    windows = windows.clamp(min=1e-4) ** power[:, None] * gain[:, None]
+    small = (small + 0.01 * torch.randn_like(small)).clamp(0.0, 1.0)
+    windows = (windows + 0.01 * torch.randn_like(windows)).clamp(0.0, 1.0)
+    return small, windows, gaze, eyes, towards
