@@ -63,7 +63,9 @@ def run(args: argparse.Namespace) -> int:
 
     with contextlib.ExitStack() as stack:
         instruments = Instruments(
-            _optional("gaze by the estimator", notes, lambda: _estimator(args.gaze_estimator)),
+            _estimator(args.gaze_estimator)
+            if args.gaze_estimator is not None
+            else _optional("gaze by the estimator", notes, lambda: _estimator(None)),
             _optional("LPIPS", notes, _lpips),
             _optional("the iris reference", notes, lambda: _reference(model.config.image_size, stack))
             if gazes
@@ -151,9 +153,15 @@ def _print(console: Any, report: dict[str, Any], units: dict[str, str]) -> None:
             table.add_row(label, *cells)
     console.print(table)
     table = Table(title="by person")
-    shown = ("psnr_head", "psnr_eyes", "gaze_commanded_deg", "iris_gaze_deg", "depth_median_mm")
-    for heading in ("person", *shown):
-        table.add_column(heading.replace("_", " "), justify="right")
+    shown = {
+        "psnr_head": "head dB",
+        "psnr_eyes": "eyes dB",
+        "gaze_commanded_deg": "gaze deg",
+        "iris_gaze_deg": "iris deg",
+        "depth_median_mm": "depth mm",
+    }
+    for heading in ("person", *shown.values()):
+        table.add_column(heading, justify="right")
     for person, group in report["people"].items():
         table.add_row(person, *(f"{group[name]:.2f}" if name in group else "-" for name in shown))
     console.print(table)

@@ -30,14 +30,16 @@ UNITS = {
     "gaze_commanded_deg": "deg", "gaze_capture_deg": "deg", "gaze_difference_deg": "deg",
     "depth_median_mm": "mm", "depth_p95_mm": "mm", "depth_eyes_median_mm": "mm",
     "surface_median_mm": "mm", "surface_p95_mm": "mm", "silhouette_iou": "",
-    "iris_gaze_deg": "deg", "iris_spread_deg": "deg", "iris_reference_deg": "deg",
+    "iris_found": "", "iris_gaze_deg": "deg", "iris_spread_deg": "deg", "iris_reference_deg": "deg",
 }  # fmt: skip
 """Every measurement's name and unit.
 
 `gaze_commanded_deg`: estimator on the rendered picture against the commanded gaze;
 `gaze_capture_deg`: the same estimator on the true picture, its own error;
 `gaze_difference_deg`: between its readings of the two pictures (the paper's functional distance);
-`surface_*`: seen points of the field to the head model's mesh; `iris_*`: see `gazenerf.evaluation.iris`.
+`surface_*`: seen points of the field to the head model's mesh; `iris_found`: share of eyes whose iris was
+found in two views or more; `iris_*`: see `gazenerf.evaluation.iris`, `iris_reference_deg` on the head
+model's own pictures.
 """
 
 
@@ -187,7 +189,8 @@ def _iris_rows(
     bound = model.bind(Subject("iris", codes, codes), gaze, bfloat16=bfloat16)
     cameras = iris_cameras(model.config.image_size)
     readings = iris_gaze([(bound.render(camera).image, camera) for camera in cameras], mesh)
-    rows = [_reading_row(reading, gaze) for reading in readings.values()]
+    rows = [{"iris_found": float(eye in readings)} for eye in ("left", "right")]
+    rows += [_reading_row(reading, gaze) for reading in readings.values()]
     if instruments.draw_reference is not None:
         drawn = [(instruments.draw_reference(codes, gaze, camera), camera) for camera in cameras]
         rows += [
