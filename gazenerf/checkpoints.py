@@ -1,9 +1,16 @@
-"""Weights on disk: safetensors with JSON metadata, checked before anything is allocated."""
+"""Weights on disk: safetensors with JSON metadata, checked before anything is allocated.
+
+Published checkpoints are pickles; `import_official` reads them without executing anything.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
+import pickle
+import zipfile
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -15,12 +22,17 @@ from safetensors.torch import save_file
 from gazenerf.errors import UserError
 from gazenerf.field.config import FieldConfig
 from gazenerf.field.model import TwoStreamField
+from gazenerf.field.published import config_from_weights, native_name, native_weights
 from gazenerf.files import whole_file
+from gazenerf.pickles import Options, TensorRecord, TorchArchive
 
 FORMAT = "gazenerf-field-1"
 BUNDLED = Path(__file__).parent / "assets" / "field.safetensors"
 MAX_BYTES = 2**30
 MAX_PARAMETERS = 2**28
+
+OFFSETS = ("iden_offset", "expr_offset", "appea_offset", "delta_EulurAngles", "delta_Tvecs")
+"""What a published checkpoint learned for each training image: code offsets and camera corrections."""
 
 
 def weights_hash(path: str | Path) -> str:
@@ -134,3 +146,97 @@ def field_from_weights(weights: dict[str, torch.Tensor], config: FieldConfig, so
         field = TwoStreamField(config)
     field.load_state_dict(weights, assign=True)
     return field.eval().requires_grad_(False)
+
+
+@dataclass(frozen=True)
+class OfficialCheckpoint:
+    """What a published checkpoint holds.
+
+    Attributes:
+        field: The network, in evaluation mode.
+        offsets: Published name (see `OFFSETS`) to the (images, .) values learned beside it; may be empty.
+        options: The published options that are plain values.
+    """
+
+    field: TwoStreamField
+    offsets: dict[str, torch.Tensor]
+    options: dict[str, Any]
+
+
+def import_official(path: str | Path) -> OfficialCheckpoint:
+    """Read a published GazeNeRF or HeadNeRF checkpoint (a `torch.save` file) without executing it.
+
+    Sizes come from the weights themselves, conventions from the published code: integer ray
+    coordinates, labels that point down and to the subject's right.
+
+    Raises:
+        UserError: missing, too large, damaged, malicious, not a published checkpoint, or not finite.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise UserError(f"no published checkpoint at {path}; give the file that torch.save wrote")
+    try:
+        with TorchArchive(path) as archive:
+            content = archive.content
+            if not isinstance(content, dict) or not isinstance(content.get("net"), dict):
+                raise ValueError("it holds no network under `net`")
+            options = _plain_options(content.get("para"))
+            config = _official_config(content["net"], options)
+            state = {name: archive.tensor(content["net"][name]).float() for name in content["net"]}
+            offsets = {
+                name: archive.tensor(content[name]).float()
+                for name in OFFSETS
+                if isinstance(content.get(name), TensorRecord)
+            }
+    except (pickle.UnpicklingError, zipfile.BadZipFile, LookupError, ValueError, TypeError, OSError) as error:
+        reason = f"unknown weights {error}" if isinstance(error, KeyError) else str(error)
+        raise UserError(f"cannot import {path}: {reason}; nothing in it was executed") from error
+    for name, value in offsets.items():
+        if not bool(torch.isfinite(value).all()):
+            raise UserError(f"{path}: the learned {name} hold NaN or infinite values")
+    field = field_from_weights(native_weights(state), config, str(path))
+    field.about = {"imported_from": path.name, "imported_hash": weights_hash(path), "published_options": options}
+    return OfficialCheckpoint(field, offsets, options)
+
+
+def _plain_options(saved: Any) -> dict[str, Any]:
+    """The plain values of published options, an object or a dictionary."""
+    values = saved.values if isinstance(saved, Options) else saved if isinstance(saved, dict) else {}
+    return {str(name): value for name, value in values.items() if isinstance(value, (bool, int, float, str))}
+
+
+def _official_config(net: dict[Any, Any], options: dict[str, Any]) -> FieldConfig:
+    """The configuration of a published network, from the shapes of its weights.
+
+    Raises:
+        KeyError, ValueError: not a published network.
+    """
+    shapes: dict[str, tuple[int, ...]] = {}
+    for name, record in net.items():
+        if not isinstance(name, str) or not isinstance(record, TensorRecord):
+            raise ValueError("its network is not made of named tensors")
+        ours = native_name(name)
+        if ours is not None:
+            flat = ours.startswith("streams.") and record.shape[2:] == (1, 1)
+            shapes[ours] = record.shape[:2] if flat else record.shape
+    published = {
+        "num_sample_coarse": "samples",
+        "world_z1": "z_near",
+        "world_z2": "z_far",
+        "iden_code_dims": "identity",
+        "expr_code_dims": "expression",
+        "text_code_dims": "texture",
+        "illu_code_dims": "illumination",
+    }
+    given: dict[str, Any] = {}
+    for name, ours in published.items():
+        if name in options:
+            value = options[name]
+            if isinstance(value, (str, bool)) or not math.isfinite(value):
+                raise ValueError(f"its option {name} is not a number")
+            given[ours] = float(value) if ours.startswith("z_") else int(value)
+    if options.get("bg_type") == "black":
+        given["background"] = "zeros"
+    config = config_from_weights(shapes, **given)
+    check_shapes(shapes, config)
+    return config

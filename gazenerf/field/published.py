@@ -67,9 +67,8 @@ def native_weights(state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
 
 
 def config_from_weights(
-    weights: dict[str, torch.Tensor],
+    shapes: dict[str, tuple[int, ...]],
     *,
-    image_size: int,
     samples: int = 64,
     z_near: float = 2.5,
     z_far: float = -3.5,
@@ -79,23 +78,24 @@ def config_from_weights(
     illumination: int = 27,
     background: str = "ones",
 ) -> FieldConfig:
-    """The configuration that published weights (under our names) mean.
+    """The configuration that published weights mean, from their shapes under our names.
 
     Raises:
         KeyError, ValueError: weights are missing or their sizes disagree.
     """
-    two = "streams.eyes.density.weight" in weights
+    two = "streams.eyes.density.weight" in shapes
     stream = "streams.face" if two else "streams.head"
-    features = weights["renderer.background_features"]
-    inputs = weights[f"{stream}.trunk.0.weight"].shape[1]
+    blocks = sum(name.startswith("renderer.narrow.") and name.endswith(".weight") for name in shapes)
+    features = shapes["renderer.background_features"]
+    inputs = shapes[f"{stream}.trunk.0.weight"][1]
     gaze_input = {63 + identity + expression + 2: True, 63 + identity + expression: False}.get(inputs)
     if gaze_input is None:
         raise ValueError(f"the first layer takes {inputs} channels, which no known code sizes explain")
     return FieldConfig(
-        image_size=image_size,
-        feature_size=features.shape[-1],
-        feature_channels=features.shape[1],
-        hidden=weights[f"{stream}.density.weight"].shape[1],
+        image_size=features[-1] << blocks,
+        feature_size=features[-1],
+        feature_channels=features[1],
+        hidden=shapes[f"{stream}.density.weight"][1],
         samples=samples,
         z_near=z_near,
         z_far=z_far,
