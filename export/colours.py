@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import trimesh
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from export.raycast import cast_rays
 from gazenerf.field.interface import BoundField, Part
@@ -53,6 +53,6 @@ def bake_vertex_colours(
     if seen.any():
         total[seen] /= weight[seen, None]
         if not seen.all():
-            _, nearest = cKDTree(vertices[seen]).query(vertices[~seen])
+            _, nearest = KDTree(vertices[seen]).query(vertices[~seen])
             total[~seen] = total[seen][nearest]
     return np.clip(np.round(255.0 * total), 0, 255).astype(np.uint8), float(seen.mean())

@@ -171,7 +171,8 @@ def fill_enclosed(face: DensityGrid, eyes: DensityGrid | None, level: float) -> 
     wall = face.values > level
     if eyes is not None:
         wall = wall | (eyes.values > level)
-    outside, _ = ndimage.label(~wall)
+    outside = np.empty(wall.shape, dtype=np.int32)
+    ndimage.label(~wall, output=outside)
     border = np.zeros(wall.shape, dtype=bool)
     for axis in range(3):
         for side in (0, -1):

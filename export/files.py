@@ -22,23 +22,37 @@ FORMATS = ("glb", "ply", "obj")
 
 def in_metres(mesh: trimesh.Trimesh, metres_per_unit: float) -> trimesh.Trimesh:
     """The same mesh scaled to metres, normals and colours kept."""
-    scaled = trimesh.Trimesh(
-        np.asarray(mesh.vertices) * metres_per_unit, mesh.faces, vertex_normals=mesh.vertex_normals, process=False
+    return trimesh.Trimesh(
+        np.asarray(mesh.vertices) * metres_per_unit,
+        mesh.faces,
+        vertex_normals=mesh.vertex_normals,
+        vertex_colors=vertex_colours(mesh),
+        process=False,
     )
-    if mesh.visual.kind == "vertex":
-        scaled.visual = trimesh.visual.ColorVisuals(scaled, vertex_colors=mesh.visual.vertex_colors)
-    return scaled
+
+
+def vertex_colours(mesh: trimesh.Trimesh) -> np.ndarray | None:
+    """(V, 4) uint8 sRGB, None where the mesh has none."""
+    visual = mesh.visual
+    if visual is None or visual.kind != "vertex":
+        return None
+    return np.asarray(visual.vertex_colors)  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def _linear_colours(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     """glTF's vertex colours are linear; pictures are sRGB."""
-    if mesh.visual.kind != "vertex":
+    colours = vertex_colours(mesh)
+    if colours is None:
         return mesh
-    rgba = np.asarray(mesh.visual.vertex_colors).astype(np.float64) / 255.0
+    rgba = colours.astype(np.float64) / 255.0
     rgba[:, :3] = np.where(rgba[:, :3] <= 0.04045, rgba[:, :3] / 12.92, ((rgba[:, :3] + 0.055) / 1.055) ** 2.4)
-    copy = mesh.copy()
-    copy.visual = trimesh.visual.ColorVisuals(copy, vertex_colors=np.round(255 * rgba).astype(np.uint8))
-    return copy
+    return trimesh.Trimesh(
+        mesh.vertices,
+        mesh.faces,
+        vertex_normals=mesh.vertex_normals,
+        vertex_colors=np.round(255 * rgba).astype(np.uint8),
+        process=False,
+    )
 
 
 def _plain_material(tree: dict[str, Any]) -> None:

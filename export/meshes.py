@@ -78,7 +78,10 @@ def extract_part(
         levels = (1e-3, np.inf)
 
     def told(stage: str) -> Callable[[int, int], None] | None:
-        return None if progress is None else lambda done, total: progress(stage, done, total)
+        if progress is None:
+            return None
+        tell = progress
+        return lambda done, total: tell(stage, done, total)
 
     box = _part_box(bound, part)
     grid = refine_density(bound, part, box, resolution, levels, progress=told(f"{part} density"))
@@ -105,7 +108,7 @@ def extract_part(
     if colours:
         rgb, seen = bake_vertex_colours(bound, mesh, part)
         rgba = np.concatenate([rgb, np.full((len(rgb), 1), 255, np.uint8)], axis=1)
-        mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=rgba)
+        mesh = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_normals=normals, vertex_colors=rgba, process=False)
         steps.append(f"vertex colours from rendered views ({seen:.0%} of the vertices seen)")
     return PartMesh(
         part,
@@ -147,7 +150,9 @@ def keep_largest(mesh: trimesh.Trimesh, count: int) -> trimesh.Trimesh:
     if len(pieces) <= count:
         return mesh
     order = sorted(pieces, key=lambda piece: abs(float(piece.volume)), reverse=True)[:count]
-    return trimesh.util.concatenate(order)
+    kept = trimesh.util.concatenate(order)
+    assert isinstance(kept, trimesh.Trimesh)
+    return kept
 
 
 def mesh_subject(

@@ -13,8 +13,12 @@ def cast_rays(mesh: trimesh.Trimesh, rays_o: np.ndarray, rays_d: np.ndarray) -> 
     except (ImportError, OSError):
         return _cast_vtk(mesh, rays_o, rays_d)
     scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(np.asarray(mesh.vertices, dtype=np.float32), np.asarray(mesh.faces, dtype=np.uint32))
-    rays = np.concatenate([rays_o, rays_d], axis=1).astype(np.float32)
+    tensor = o3d.core.Tensor.from_numpy
+    scene.add_triangles(
+        tensor(np.ascontiguousarray(mesh.vertices, dtype=np.float32)),
+        tensor(np.ascontiguousarray(mesh.faces, dtype=np.uint32)),
+    )
+    rays = tensor(np.concatenate([rays_o, rays_d], axis=1).astype(np.float32))
     hit = scene.cast_rays(rays)["t_hit"].numpy().astype(np.float64)
     return np.where(np.isfinite(hit), hit, np.nan)
 

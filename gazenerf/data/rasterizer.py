@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import cv2
@@ -85,12 +87,43 @@ class Rasterizer:
         part[mesh.faces.ravel()] = np.repeat(mesh.face_part, 3)
         ids = np.concatenate([_PART_COLOURS[part], np.full((len(part), 1), 255, np.uint8)], axis=1)
         scene = self._scene(mesh, ids / 255.0, camera)
-        id_picture, depth_z = self._draw(scene, camera, flags)
+        with self._one_sample():
+            id_picture, depth_z = self._draw(scene, camera, flags)
         seen = depth_z > 0
         nearest = np.abs(id_picture[..., :1].astype(int) - _PART_COLOURS[None, None, :, 0]).argmin(axis=-1) + 1
         parts = np.where(seen, nearest, 0).astype(np.uint8)
         depth = np.where(seen, depth_z / camera.ray_z(), 0.0).astype(np.float32)
         return Raster(np.ascontiguousarray(image), parts, depth)
+
+    def normals(self, mesh: HeadMesh, camera: Camera) -> np.ndarray:
+        """(H, W, 3) float32 interpolated unit world normals at pixel centres, NaN where nothing is hit."""
+        flags = self._pyrender.RenderFlags.FLAT | self._pyrender.RenderFlags.SKIP_CULL_FACES
+        rgba = np.concatenate([0.5 * mesh.normals + 0.5, np.ones((len(mesh.normals), 1))], axis=1)
+        with self._one_sample():
+            picture, depth = self._draw(self._scene(mesh, rgba, camera), camera, flags)
+        vectors = picture[..., :3].astype(np.float32) / 127.5 - 1.0
+        vectors /= np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-6)
+        vectors[depth <= 0] = np.nan
+        return vectors
+
+    @contextmanager
+    def _one_sample(self) -> Iterator[None]:
+        """Rasterise at pixel centres: pyrender's multisampled buffer would return a corner's depth."""
+        from pyrender import renderer as module
+
+        multisampled = module.glRenderbufferStorageMultisample
+
+        def single(target: int, samples: int, *rest: int) -> None:
+            multisampled(target, 0, *rest)
+
+        module.glRenderbufferStorageMultisample = single
+        inner = self._renderer._renderer
+        inner._delete_main_framebuffer()
+        try:
+            yield
+        finally:
+            module.glRenderbufferStorageMultisample = multisampled
+            inner._delete_main_framebuffer()
 
     def _draw(self, scene, camera: Camera, flags: int) -> tuple[np.ndarray, np.ndarray]:
         self._renderer.viewport_width, self._renderer.viewport_height = camera.width, camera.height

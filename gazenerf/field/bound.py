@@ -230,17 +230,17 @@ class BoundTwoStream:
                 near = ((points >= bounds[0]) & (points <= bounds[1])).all(-1).any(-1)
             density, hidden = stream.query(points[near][None], self._conditions[name])
             found[name] = density[0], hidden[0].float()
-        total = found[names[0]][0].clone()
+        leading = next(iter(names))
+        total = found[leading][0].clone()
         if len(names) > 1:
             total[near] = total[near] + found["eyes"][0]
         weights, opacity = composite(total, deltas)
-        first, hidden = found[names[0]]
-        own = weights
+        first, hidden = found[leading]
+        own, w_eyes = weights, weights[:0]
         if len(names) > 1:
             own = weights.clone()
-            w_face, w_eyes, _ = composite_joint(first[near], found["eyes"][0], deltas[near])
-            own[near] = w_face
-        rows = self.field.stream(names[0]).project((own[..., None] * hidden).sum(1)[None], own.sum(-1)[None])[0].float()
+            own[near], w_eyes, _ = composite_joint(first[near], found["eyes"][0], deltas[near])
+        rows = self.field.stream(leading).project((own[..., None] * hidden).sum(1)[None], own.sum(-1)[None])[0].float()
         if len(names) > 1:
             eyes = self.field.stream("eyes").project(
                 (w_eyes[..., None] * found["eyes"][1]).sum(1)[None], w_eyes.sum(-1)[None]

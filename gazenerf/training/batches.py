@@ -65,8 +65,8 @@ def ray_targets(capture: Capture, feature_size: int, all_rays: bool = False, eye
     assert isinstance(nearest, np.ndarray)
     distance = distance.reshape(grid.shape)[nearest[0], nearest[1]].reshape(-1)
     cast = np.ones_like(grid) if all_rays else ndimage.binary_dilation(grid, iterations=1)
-    near_eye = ndimage.binary_dilation(eyes.reshape(grid.shape) > 0, np.ones((3, 3)), iterations=eye_dilation) & cast
-    near_eye |= all_rays
+    dilated = ndimage.binary_dilation(eyes.reshape(grid.shape) > 0, np.ones((3, 3)), iterations=eye_dilation)
+    near_eye = (np.asarray(dilated, dtype=bool) & np.asarray(cast, dtype=bool)) | all_rays
     rays = np.flatnonzero(cast)
     position = np.full(cast.size, -1)
     position[rays] = np.arange(rays.size)
@@ -81,7 +81,7 @@ def ray_targets(capture: Capture, feature_size: int, all_rays: bool = False, eye
     return RayTargets(
         rays.astype(np.int32),
         distance[rays].astype(np.float32),
-        has_surface[rays],
+        np.asarray(has_surface)[rays],
         face[rays],
         eyes[rays],
         eye_rays.astype(np.int32),

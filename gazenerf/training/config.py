@@ -46,9 +46,9 @@ class TrainConfig:
     field_overrides: dict[str, Any] = dataclasses.field(default_factory=dict)
     steps: int = 6000
     batch: int = 2
-    learning_rate: float = 7e-4
+    learning_rate: float = 4e-4
     final_learning_rate: float = 3e-5
-    density_learning_rate: float = 10.0
+    density_learning_rate: float = 3.0
     warmup: int = 100
     shell: float | None = 0.25
     shell_samples: int = 10

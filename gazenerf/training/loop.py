@@ -114,6 +114,8 @@ def train(
         state = _read_state(out / STATE)
         objective.load_state_dict(state["objective"])
         optimizer.load_state_dict(state["optimizer"])
+        for group, scale in zip(optimizer.param_groups, (1.0, config.density_learning_rate), strict=True):
+            group["scale"] = scale
         step, spent, average = int(state["step"]), float(state["seconds"]), state["average"]
         _forget_after(out / LOG, step)
     wrapped, optimizer = runtime.setup(objective, optimizer)
