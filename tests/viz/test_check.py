@@ -1,0 +1,188 @@
+"""The check's gauges on a scene whose answers are known, with faults of known size."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+import trimesh
+
+from gazenerf.cli.check import parse_thresholds
+from gazenerf.errors import UserError
+from gazenerf.field.analytic import AnalyticField
+from gazenerf.geometry import Camera
+from gazenerf.head_model import HeadMesh
+from viz.agreement import compare, reproject
+from viz.check import Metric, check_cameras, check_subject
+from viz.heatmaps import depth_difference_picture, signed_colours, silhouette_picture
+from viz.reference import RENDERERS, render_reference, usable
+from viz.report import write_report
+
+SIZE = 96
+
+
+def analytic_mesh(field: AnalyticField, subdivisions: int = 6) -> HeadMesh:
+    """The analytic head as a fine mesh."""
+    vertices, faces, parts, normals, count = [], [], [], [], 0
+    for part, solid in enumerate((field.face, *field.eyes)):
+        ball = trimesh.creation.icosphere(subdivisions if part == 0 else 4)
+        points = np.asarray(ball.vertices) * solid.radii + solid.centre
+        vertices.append(points)
+        normals.append(solid.normals(points))
+        faces.append(np.asarray(ball.faces) + count)
+        parts.append(np.full(len(ball.faces), part, np.uint8))
+        count += len(points)
+    stacked = np.concatenate(vertices).astype(np.float32)
+    return HeadMesh(
+        stacked,
+        np.concatenate(faces).astype(np.int32),
+        np.concatenate(parts),
+        np.concatenate(normals).astype(np.float32),
+        np.full_like(stacked, 0.5),
+        {},
+        np.stack([eye.centre for eye in field.eyes]),
+        0.12,
+    )
+
+
+@pytest.fixture(scope="module")
+def field() -> AnalyticField:
+    return AnalyticField()
+
+
+@pytest.fixture(scope="module")
+def mesh(field) -> HeadMesh:
+    return analytic_mesh(field)
+
+
+def working() -> list[str]:
+    names = [name for name in RENDERERS if usable(name)]
+    if not names:
+        pytest.skip("no reference renderer starts here: needs mitsuba, EGL or open3d's libraries")
+    return names
+
+
+def test_renderers_agree_with_the_truth_and_each_other(field, mesh):
+    camera = Camera.orbit(0.4, 0.1, size=SIZE)
+    truth = field.render_geometry(camera, "head", normals=True)
+    for name in working():
+        view = render_reference(mesh, [camera], name)[0]
+        agreement = compare(view, truth, 0.1)
+        assert agreement.depth_p95_mm < 0.1, name
+        assert agreement.silhouette_px <= 1.0 and agreement.silhouette_iou > 0.99, name
+        assert agreement.normal_median_deg < 1.0, name
+        assert set(np.unique(view.parts)) <= {0, 1, 2, 3}
+        left = np.argwhere(view.parts == 2)[:, 1].mean()
+        assert left > np.argwhere(view.parts == 3)[:, 1].mean(), "the subject's left eye is on the picture's right"
+
+
+def test_an_exact_field_passes_everything(field, mesh):
+    working()
+    result = check_subject(field, mesh, views=6, size=SIZE)
+    values = {metric.name: metric.value for metric in result.metrics}
+    assert values["depth_median_mm"] < 0.05
+    assert values["reprojection"] > 0.995
+    assert values["warp_psnr"] > 35
+    assert all(metric.verdict in ("pass", "unmeasured") for metric in result.metrics), values
+
+
+@pytest.mark.parametrize("millimetres", [2.0, -2.0])
+def test_a_moved_face_reads_back_at_its_size(field, mesh, millimetres):
+    working()
+    moved = AnalyticField(face_offset=(0.0, 0.0, millimetres / 100))
+    cameras = [Camera.orbit(0.0, 0.0, size=SIZE)]
+    reference = render_reference(mesh, cameras, working()[0])[0]
+    view = moved.render_geometry(cameras[0], "face", normals=True)
+    centre = np.zeros_like(reference.depth, dtype=bool)
+    centre[SIZE // 2 - 6 : SIZE // 2 + 6, SIZE // 2 - 6 : SIZE // 2 + 6] = True
+    shown = replace(view, depth=np.where(centre & (reference.parts == 1), view.depth, np.nan).astype(np.float32))
+    assert compare(shown, reference, 0.1).depth_bias_mm == pytest.approx(-millimetres, abs=0.1)
+
+
+def test_a_larger_face_moves_depth_but_not_the_views_among_themselves(mesh):
+    working()
+    result = check_subject(AnalyticField(face_scale=1.02), mesh, views=3, size=SIZE)
+    values = {metric.name: metric.value for metric in result.metrics}
+    assert 1.5 < values["depth_median_mm"] < 2.5
+    assert result.metric("depth_median_mm").verdict == "warn"
+    assert values["reprojection"] > 0.995
+
+
+def test_noise_on_depth_breaks_reprojection(field):
+    cameras = [Camera.orbit(yaw, 0.0, size=SIZE) for yaw in (0.0, 0.3)]
+    views = [field.render_geometry(camera, "head") for camera in cameras]
+    clean = reproject(views[0], views[1], 0.1)
+    rng = np.random.default_rng(0)
+    noisy = replace(views[1], depth=(views[1].depth + rng.normal(0, 0.04, views[1].depth.shape)).astype(np.float32))
+    broken = reproject(views[0], noisy, 0.1)
+    assert clean.consistent > 0.995 and clean.depth_mm < 0.1
+    assert broken.depth_mm > 10 * clean.depth_mm and broken.depth_mm > 1.0
+    away = reproject(views[0], replace(views[1], depth=np.full_like(views[1].depth, np.nan)), 0.1)
+    assert away.covisible == 0 and np.isnan(away.consistent)
+
+
+def test_metrics_judge_both_directions():
+    small = Metric("a", "a", "mm", 2.0, 1.0, 3.0)
+    assert small.verdict == "warn" and small.crosses(1.5) and not small.crosses(2.5)
+    large = Metric("b", "b", "", 0.9, 0.95, 0.85, True)
+    assert large.verdict == "warn" and large.crosses(0.95) and not large.crosses(0.85)
+    assert Metric("c", "c", "", float("nan"), 1, 2).verdict == "unmeasured"
+    assert Metric("c", "c", "", float("nan"), 1, 2).crosses(5)
+
+
+def test_heat_maps_show_sign_and_holes():
+    colours = signed_colours(np.array([[-10.0, 0.0, 10.0, np.nan]]), 10.0)
+    assert colours[0, 0, 2] > colours[0, 0, 0] and colours[0, 2, 0] > colours[0, 2, 2]
+    assert colours[0, 1].min() > 240 and colours[0, 3].max() < 60
+
+
+class _Links(HTMLParser):
+    def __init__(self) -> None:
+        super().__init__()
+        self.sources: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.sources += [value or "" for name, value in attrs if name in ("src", "href")]
+
+
+def test_the_report_is_one_file_and_the_numbers_are_complete(field, mesh, tmp_path):
+    working()
+    result = check_subject(field, mesh, views=2, size=48)
+    page, numbers = write_report(result, tmp_path)
+    text = page.read_text()
+    links = _Links()
+    links.feed(text)
+    assert links.sources and all(source.startswith("data:image/png;base64,") for source in links.sources)
+    assert "http://" not in text and "https://" not in text
+    data = json.loads(numbers.read_text())
+    assert {metric["name"] for metric in data["metrics"]} == {metric.name for metric in result.metrics}
+    assert all(metric["label"] in text for metric in data["metrics"] if "," not in metric["label"])
+    assert data["about"]["weights_sha256_16"] == "analytic" and data["definitions"] and data["versions"]["gazenerf"]
+    assert not list(tmp_path.glob(".writing-*"))
+    view = result.views[0]
+    assert depth_difference_picture(view.geometry, view.reference, 0.1).shape == (48, 92, 3)
+    assert silhouette_picture(view.geometry, view.reference).shape == (48, 48, 3)
+
+
+@pytest.mark.parametrize(("views", "size", "message"), [(0, 96, "--views"), (99, 96, "--views"), (4, 8, "--size")])
+def test_impossible_settings_are_refused(views, size, message):
+    with pytest.raises(UserError, match=message):
+        check_cameras(views, size)
+
+
+def test_thresholds_are_read_or_refused():
+    assert parse_thresholds(["depth_median_mm=3"]) == {"depth_median_mm": 3.0}
+    for text in ("depth_median_mm", "depth_median_mm=x"):
+        with pytest.raises(UserError, match="--fail-on"):
+            parse_thresholds([text])
+
+
+def test_unknown_names_are_refused(field, mesh):
+    with pytest.raises(UserError, match="unknown reference renderer"):
+        usable("povray")
+    working()
+    with pytest.raises(UserError, match="unknown metric"):
+        check_subject(field, mesh, views=1, size=48).metric("beauty")
