@@ -155,6 +155,7 @@ PRESETS: dict[str, FieldConfig] = {
         image_size=256,
         feature_channels=72,
         hidden=192,
+        frequencies=8,
         merge="joint",
         background="zeros",
         sampler="guided",

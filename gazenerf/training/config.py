@@ -46,10 +46,10 @@ class TrainConfig:
     field_overrides: dict[str, Any] = dataclasses.field(default_factory=dict)
     steps: int = 6000
     batch: int = 2
-    learning_rate: float = 4e-4
+    learning_rate: float = 1e-3
     final_learning_rate: float = 3e-5
     density_learning_rate: float = 3.0
-    warmup: int = 100
+    warmup: int = 50
     shell: float | None = 0.25
     shell_samples: int = 10
     shell_noise: float = 0.02
@@ -61,11 +61,11 @@ class TrainConfig:
     code_weights: tuple[float, float, float, float] = (1e-3, 1.0, 1e-3, 1e-3)
     learn_codes: bool = False
     learn_cameras: bool = False
-    depth: float = 1.0
-    surface: float = 3.0
-    opacity: float = 1.0
-    empty: float = 0.01
-    eyeball: float = 0.02
+    depth: float = 0.5
+    surface: float = 1.0
+    opacity: float = 0.5
+    empty: float = 0.005
+    eyeball: float = 0.01
     background_weight: float = 0.5
     eyes_weight: float = 1.0
     geometry_decay: float = 0.3
@@ -73,7 +73,7 @@ class TrainConfig:
     perceptual_start: float = 0.5
     streams_every: int = 4
     ema: float = 0.998
-    gradient_clip: float = 1.0
+    gradient_clip: float = 10.0
     seed: int = 1
 
     def to_dict(self) -> dict[str, Any]:

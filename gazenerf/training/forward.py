@@ -22,14 +22,14 @@ FREE_REACH = 0.5
 SCENE_RADIUS = 2.2
 """World units around the origin that are asked to be empty where nothing was captured."""
 
-FRONT, BEHIND, SOLID = 0.03, (0.015, 0.12), 80.0
+FRONT, BEHIND, SOLID = 0.03, (0.015, 0.12), 40.0
 """World units in front of a captured surface that are empty, the layer behind it that is solid, and
 the density per world unit asked for in that layer."""
 
 EYE_OUTSIDE, EYE_INSIDE = 1.15, 0.97
 """In eyeball radii: density beyond the first (the cornea bulges) is penalised, within the second asked for."""
 
-EYE_DENSITY = 60.0
+EYE_DENSITY = 40.0
 """Density per world unit asked for inside an eyeball."""
 
 
