@@ -21,7 +21,7 @@ from gazenerf.field.compositing import composite, composite_joint
 from gazenerf.field.interface import OPACITY_FLOOR, PARTS, GeometryView, Part, RenderedView
 from gazenerf.field.model import TwoStreamField
 from gazenerf.field.occupancy import Occupancy, first_surface
-from gazenerf.field.sampling import shell_samples, slab_samples
+from gazenerf.field.sampling import ray_samples, shell_samples, slab_samples
 from gazenerf.geometry import Camera, Gaze, camera_rays
 from gazenerf.subjects import Subject
 
@@ -30,6 +30,9 @@ GUIDED_BOX = ((-1.5, -1.7, -1.5), (1.5, 1.5, 1.5))
 
 SLAB_HALF_WIDTH = 1.93
 """Half width of the volume that the published neutral camera sees."""
+
+SLAB_SLOPE = 0.5
+"""Slabs are used while |d_z| of every ray exceeds this: cameras up to about 50 degrees from the front."""
 
 CHUNK = 2**16
 
@@ -183,13 +186,23 @@ class BoundTwoStream:
             occupancy, rays_o, rays_d, refinements=refinements,
         )  # fmt: skip
 
+    def _even_samples(self, rays_o: torch.Tensor, rays_d: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """The published slabs where every ray descends steeply in z, else as many steps through the box.
+
+        Slabs are undefined for rays at right angles to z and in the wrong order from behind.
+        """
+        if bool((rays_d[:, 2] < -SLAB_SLOPE).all()):
+            return slab_samples(rays_o, rays_d, self.field.config)
+        box = torch.from_numpy(self.box.astype(np.float32))
+        return ray_samples(rays_o, rays_d, box, self.field.config.samples)
+
     def _samples(
         self, rays_o: torch.Tensor, rays_d: torch.Tensor, names: tuple[str, ...]
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Rays that can hit something (indices), and their t and deltas."""
         config = self.field.config
         if self.sampler == "slabs":
-            return torch.arange(len(rays_o)), *slab_samples(rays_o, rays_d, config)
+            return torch.arange(len(rays_o)), *self._even_samples(rays_o, rays_d)
         distance, hit = self._surface(rays_o, rays_d, names, refinements=1)
         rays = hit.nonzero()[:, 0]
         return rays, *shell_samples(distance[rays], config.shell, config.shell_samples)
@@ -314,8 +327,9 @@ class BoundTwoStream:
                     opacity[index] = alpha
                     depth[index] = (weights * t).sum(-1) / alpha.clamp(min=1e-6)
             else:
+                every_t, every_delta = self._even_samples(rays_o, rays_d)
                 for index in torch.arange(len(rays_o)).split(CHUNK // 64):
-                    t, deltas = slab_samples(rays_o[index], rays_d[index], self.field.config)
+                    t, deltas = every_t[index], every_delta[index]
                     points = rays_o[index, None] + t[..., None] * rays_d[index, None]
                     density = self._density(points.reshape(-1, 3), names).reshape(t.shape)
                     weights, alpha = composite(density, deltas)
@@ -344,7 +358,13 @@ class BoundTwoStream:
         return -gradient / gradient.norm(dim=-1, keepdim=True).clamp(min=1e-12)
 
     def render_slow(self, camera: Camera) -> dict[str, torch.Tensor]:
-        """The published forward pass at the field's own size; see `TwoStreamField.render_reference`."""
+        """The published forward pass at the field's own size; see `TwoStreamField.render_reference`.
+
+        Raises:
+            UserError: the camera is beside or behind the head, where the published samples are undefined.
+        """
+        if not bool((camera_rays(camera.resized(8))[1][:, 2] < -SLAB_SLOPE).all()):
+            raise UserError("the published path needs a camera in front of the head; use render for other views")
         size = self.field.config.feature_size
         small = camera.resized(size)
         with self._exact():

@@ -90,11 +90,13 @@ class TwoStreamField(nn.Module):
         pixels = torch.stack([columns, rows, torch.ones_like(rows)]).reshape(1, 3, -1)
         directions = rotation @ (inv_intrinsics @ pixels)
         directions = directions / directions.norm(dim=1, keepdim=True)
-        edges = torch.linspace(config.z_near, config.z_far, config.samples + 1)
-        displacement = (edges - position[:, 2]).abs()[:, None, :]
-        along = displacement / directions[:, 2:].abs().transpose(1, 2)
-        deltas = along[..., 1:] - along[..., :-1]
-        points = position[..., None] + directions[..., None] * along[:, None, :, :-1]
+        stretch = 1.0 / directions[:, 2:].abs()  # ray length per unit of z
+        share = torch.linspace(0.0, 1.0, config.samples + 1)
+        height = position[:, 2]
+        displacement = ((height - config.z_near) * (1.0 - share) + (height - config.z_far) * share)[:, None]
+        deltas = (displacement[..., 1:] - displacement[..., :-1]) * stretch.transpose(1, 2)
+        # The order of these operations is the published one: at 512 waves a unit rounding shows.
+        points = position[..., None] + (directions * stretch)[..., None] * displacement[:, None, :, :-1]
         samples = points.permute(0, 2, 3, 1)
         background = self.renderer.background(size, size)
         flat = background.flatten(2).transpose(1, 2)

@@ -1,0 +1,202 @@
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from gazenerf.errors import UserError
+from gazenerf.field.bound import BoundTwoStream
+from gazenerf.field.interface import BoundField, GeometryView, Part
+from gazenerf.field.model import TwoStreamField
+from gazenerf.geometry import Camera, Gaze
+from gazenerf.subjects import Codes
+
+from .conftest import EYE_CENTRE, EYE_RADIUS, FACE_RADIUS, make_field, make_subject, tiny_config
+
+GAZE = Gaze.from_degrees(10, -15)
+
+
+def bind(gaze: Gaze = GAZE, **changes: Any) -> BoundTwoStream:
+    config = tiny_config(**({"sampler": "slabs"} | changes))
+    return make_field(config).bind(make_subject(config), gaze)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"merge": "max"},
+        {"merge": "joint"},
+        {"merge": "max", "eye_motion": "none"},
+        {"streams": "one"},
+        {"streams": "one", "eye_motion": "none", "gaze_input": False},
+        {"merge": "max", "ray_offset": 0.0, "gaze_label_signs": (-1.0, -1.0)},
+    ],
+)
+def test_fast_path_equals_the_published_path(changes: dict[str, Any]) -> None:
+    bound = bind(**changes)
+    size = bound.field.config.image_size
+    camera = Camera.orbit(yaw=0.3, pitch=0.1, size=size)
+    slow = bound.render_slow(camera)
+    parts: tuple[Part, ...] = ("head", "face", "eyes") if bound.field.config.streams == "two" else ("head",)
+    fast = bound.render(camera, parts)
+    for part in parts:
+        expected = slow["image" if part == "head" else f"image_{part}"][0].permute(1, 2, 0).numpy()
+        assert np.abs(fast.images[part] - expected).max() < 1e-4, part
+        name = f"background_alpha_{part}"
+        if name in slow:
+            opacity = 1.0 - slow[name].reshape(fast.geometry[part].opacity.shape).numpy()
+            assert np.abs(fast.geometry[part].opacity - opacity).max() < 1e-4, part
+            assert 0.02 < opacity.mean() and opacity.std() > 0
+
+
+def test_is_a_bound_field() -> None:
+    bound = bind()
+    assert isinstance(bound, BoundField)
+    assert bound.box.shape == (2, 3) and bool((bound.box[0] < bound.box[1]).all())
+    assert bound.background.shape == (3,) and 0 < bound.background.min() < bound.background.max() < 1
+
+
+def test_head_density_is_the_sum_and_has_gradients() -> None:
+    bound = bind()
+    points = torch.randn(500, 3, generator=torch.Generator().manual_seed(0)) * 0.7
+    face, eyes, head = (bound.density(points, part) for part in ("face", "eyes", "head"))
+    assert torch.allclose(head, face + eyes, atol=1e-5)
+    assert not head.requires_grad and head.min() >= 0 and head.max() > 0
+    points = points.double().float().requires_grad_(True)
+    gradient = torch.autograd.grad(bound.density(points).sum(), points)[0]
+    step = 1e-3 * gradient / gradient.norm(dim=1, keepdim=True).clamp(min=1e-9)
+    change = bound.density(points.detach() + step) - bound.density(points.detach() - step)
+    predicted = 2 * (gradient * step).sum(1)
+    assert torch.corrcoef(torch.stack([change, predicted]))[0, 1] > 0.99
+
+
+def test_gaze_moves_the_eyes_picture() -> None:
+    config = tiny_config(sampler="slabs", gaze_input=False, merge="max")
+    field, subject = make_field(config), make_subject(config)
+    camera = Camera.neutral(config.image_size)
+    views = [field.bind(subject, gaze).render(camera, ("face", "eyes")) for gaze in (Gaze(), GAZE)]
+    assert np.abs(views[0].images["eyes"] - views[1].images["eyes"]).max() > 1e-3
+    np.testing.assert_array_equal(views[0].images["face"], views[1].images["face"])
+
+
+@pytest.mark.parametrize(("width", "height"), [(32, 32), (40, 24), (33, 21), (8, 8), (1, 1)])
+def test_any_size(width: int, height: int) -> None:
+    view = bind().render(Camera.neutral((width, height)))
+    assert view.image.shape == (height, width, 3) and view.image.dtype == np.float32
+    assert np.isfinite(view.image).all() and view.image.min() >= 0 and view.image.max() <= 1
+
+
+def test_odd_size_shows_the_same_as_an_even_one() -> None:
+    bound = bind()
+    odd, even = bound.render(Camera.neutral(63)).image, bound.render(Camera.neutral(64)).image
+    assert np.abs(odd.mean((0, 1)) - even.mean((0, 1))).max() < 0.01
+
+
+def ball_distance(camera: Camera, centre: tuple[float, ...], radius: float) -> np.ndarray:
+    rays_o, rays_d = camera.rays()
+    towards = np.asarray(centre) - rays_o.reshape(-1, 3)
+    along = (towards * rays_d.reshape(-1, 3)).sum(1)
+    rest = radius**2 - (towards**2).sum(1) + along**2
+    distance = np.where(rest > 0, along - np.sqrt(np.maximum(rest, 0)), np.nan)
+    return distance.reshape(camera.height, camera.width)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.7, 1.571, 3.1])
+@pytest.mark.parametrize("sampler", ["guided", "slabs"])
+def test_known_geometry_from_every_side(balls: TwoStreamField, yaw: float, sampler: str) -> None:
+    if sampler == "slabs":
+        balls.config = dataclasses.replace(balls.config, samples=300)
+    bound = balls.bind(make_subject(balls.config), Gaze(), sampler=sampler)
+    camera = Camera.orbit(yaw=yaw, size=24)
+    face = ball_distance(camera, (0.0, 0.0, 0.0), FACE_RADIUS)
+    eyes = ball_distance(camera, EYE_CENTRE, EYE_RADIUS)
+    for part, expected in (("face", face), ("eyes", eyes), ("head", np.fmin(face, eyes))):
+        check_geometry(bound.render_geometry(camera, part), expected)
+
+
+def check_geometry(view: GeometryView, expected: np.ndarray) -> None:
+    seen = np.isfinite(expected)
+    assert (np.isfinite(view.depth) != seen).mean() < 0.04
+    both = seen & np.isfinite(view.depth)
+    assert np.median(np.abs(view.depth - expected)[both]) < 0.02
+    assert view.opacity[both].mean() > 0.97 and view.opacity[~seen].mean() < 0.1
+
+
+def test_normals_point_outward(balls: TwoStreamField) -> None:
+    bound = balls.bind(make_subject(balls.config), Gaze())
+    camera = Camera.orbit(yaw=-0.8, size=24)
+    view = bound.render_geometry(camera, "face", normals=True)
+    rays_o, rays_d = camera.rays()
+    at = (rays_o + view.depth[..., None] * rays_d.reshape(24, 24, 3)).reshape(-1, 3)
+    assert view.normals is not None
+    seen = np.isfinite(at).all(1)
+    at, normals = at[seen], view.normals.reshape(-1, 3)[seen]
+    cosine = (normals * at).sum(1) / np.linalg.norm(at, axis=1)
+    assert seen.sum() > 100 and np.median(cosine) > 0.99
+
+
+def test_guided_pictures_see_the_same_surface(balls: TwoStreamField) -> None:
+    bound = balls.bind(make_subject(balls.config), Gaze())
+    camera = Camera.orbit(yaw=0.2, size=32)
+    view = bound.render(camera)
+    small = view.geometry["head"]
+    expected = np.fmin(
+        ball_distance(small.camera, (0.0, 0.0, 0.0), FACE_RADIUS), ball_distance(small.camera, EYE_CENTRE, EYE_RADIUS)
+    )
+    both = np.isfinite(expected) & np.isfinite(small.depth)
+    assert both.mean() > 0.2
+    assert np.median(np.abs(small.depth - expected)[both]) < 0.06
+
+
+def test_occupancy_is_found_once_a_subject(balls: TwoStreamField) -> None:
+    subject = make_subject(balls.config)
+    camera = Camera.neutral(8)
+    balls.bind(subject, Gaze()).render(camera)
+    known = next(iter(balls.occupancies.values()))
+    balls.bind(subject, GAZE).render(camera)
+    assert len(balls.occupancies) == 1 and next(iter(balls.occupancies.values())) is known
+    for seed in range(2, 12):
+        balls.bind(make_subject(balls.config, seed), Gaze()).render(camera)
+    assert len(balls.occupancies) <= 4
+
+
+def test_slow_path_refuses_views_it_cannot_have() -> None:
+    with pytest.raises(UserError, match="in front"):
+        bind().render_slow(Camera.orbit(yaw=2.0, size=32))
+
+
+def test_gaze_beyond_training_warns_with_the_range() -> None:
+    config = tiny_config(trained_gaze_range=[20, 30])
+    field, subject = make_field(config), make_subject(config)
+    with pytest.warns(UserWarning, match=r"\+-20.*\+-30"):
+        field.bind(subject, Gaze.from_degrees(0, 40))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        field.bind(subject, Gaze.from_degrees(-20, 30))
+
+
+def test_wrong_requests_are_one_line() -> None:
+    config = tiny_config()
+    subject = make_subject(config)
+    codes = Codes(subject.codes.identity[:-1], subject.codes.expression, subject.codes.texture, np.zeros(27))
+    with pytest.raises(UserError, match="identity, expression"):
+        make_field(config).bind(dataclasses.replace(subject, codes=codes), Gaze())
+    with pytest.raises(UserError, match="NaN"):
+        bind(Gaze(float("nan"), 0.0))
+    with pytest.raises(UserError, match="one stream"):
+        bind(streams="one").density(torch.zeros(1, 3), "face")
+    with pytest.raises(UserError, match="unknown part"):
+        bind().density(torch.zeros(1, 3), "nose")  # type: ignore[arg-type]
+
+
+def test_bfloat16_pictures_are_close() -> None:
+    config = tiny_config(sampler="slabs")
+    field, subject = make_field(config), make_subject(config)
+    camera = Camera.neutral(32)
+    exact = field.bind(subject, GAZE).render(camera).image
+    rough = field.bind(subject, GAZE, bfloat16=True).render(camera).image
+    assert 0 < np.abs(exact - rough).mean() < 0.02
