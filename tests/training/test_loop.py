@@ -1,0 +1,141 @@
+"""A run learns, can be killed, and goes on with the same curve."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from gazenerf.checkpoints import load_field
+from gazenerf.errors import UserError
+from gazenerf.field.config import PRESETS as FIELDS
+from gazenerf.field.model import TwoStreamField
+from gazenerf.training.batches import BatchMaker
+from gazenerf.training.config import PRESETS, TrainConfig
+from gazenerf.training.forward import render_batch
+from gazenerf.training.loop import train, trained_range
+from gazenerf.training.objective import Objective, Offsets, schedule
+from gazenerf.training.runtime import Runtime
+
+FIELD = replace(FIELDS["tiny"], identity=4, expression=3, texture=5)
+CONFIG = replace(PRESETS["tiny"], steps=8, learning_rate=3e-3)
+
+
+def curve(folder) -> list[float]:
+    rows = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
+    return [row["whole"] for row in rows if "whole" in row]
+
+
+def run(captures, folder, eyeballs, config=CONFIG, **options):
+    return train(
+        captures, FIELD, config, folder, eyeballs=eyeballs, runtime=Runtime("cpu", precision="float32"), **options
+    )
+
+
+def test_a_killed_run_resumes_with_the_same_curve(toy_captures, toy_eyeballs, tmp_path):
+    run(toy_captures, tmp_path / "whole", toy_eyeballs, held_out=toy_captures[:1])
+
+    class Killed(Exception):
+        pass
+
+    def kill(progress):
+        if progress.step == 6:
+            raise Killed
+
+    with pytest.raises(Killed):
+        run(toy_captures, tmp_path / "parts", toy_eyeballs, save_every=4, on_step=kill)
+    run(toy_captures, tmp_path / "parts", toy_eyeballs, resume=True)
+    a, b = curve(tmp_path / "whole"), curve(tmp_path / "parts")
+    assert len(a) == len(b) == CONFIG.steps
+    assert np.allclose(a, b, atol=1e-6)
+    field = load_field(tmp_path / "whole" / "field.safetensors")
+    assert field.config.trained_gaze_range == trained_range(toy_captures)
+    assert field.about["steps"] == CONFIG.steps
+    assert (tmp_path / "whole" / "previews" / f"{CONFIG.steps:06d}.png").is_file()
+
+
+def test_training_lowers_every_loss_it_is_given(toy_captures, toy_eyeballs, tmp_path):
+    config = replace(CONFIG, steps=80, batch=2)
+    seen = []
+    run(toy_captures, tmp_path, toy_eyeballs, config, on_step=lambda progress: seen.append(progress.parts))
+    for name in ("whole", "background", "surface", "eyeball"):
+        first = np.mean([parts[name] for parts in seen[:8]])
+        last = np.mean([parts[name] for parts in seen[-8:]])
+        assert last < 0.9 * first, (name, first, last)
+
+
+@pytest.mark.parametrize("merge", ["joint", "max"])
+def test_gradients_reach_both_streams_and_the_renderer(toy_captures, toy_eyeballs, merge):
+    model = TwoStreamField(replace(FIELD, merge=merge))
+    batch = BatchMaker(toy_captures, 16, eyeballs=toy_eyeballs).batch([0, 9], np.random.default_rng(0))
+    loss, parts = Objective(model, CONFIG, len(toy_captures))(batch, 0)
+    assert torch.isfinite(loss) and "face" in parts and "eyes" in parts
+    loss.backward()
+    for name, value in model.named_parameters():
+        if not name.startswith("renderer.background"):
+            assert value.grad is not None and float(value.grad.abs().max()) > 0, name
+
+
+def test_the_slabs_of_the_paper_train_too(toy_captures):
+    config = replace(FIELD, merge="max", samples=12)
+    batch = BatchMaker(toy_captures, 16, all_rays=True).batch([0], np.random.default_rng(0))
+    render = render_batch(TwoStreamField(config), batch, shell=None, samples=0, geometry=False, face_image=True)
+    assert render.image.shape == (1, 3, 32, 32) and render.face_image is not None and not render.terms
+
+
+@pytest.mark.parametrize("motion", ["none", "feature_rotation"])
+def test_one_stream_trains(toy_captures, motion):
+    config = replace(FIELD, streams="one", eye_motion=motion)
+    model = TwoStreamField(config)
+    batch = BatchMaker(toy_captures, 16).batch([0, 1], np.random.default_rng(0))
+    loss, _ = Objective(model, replace(CONFIG, depth=0, surface=0, opacity=0, empty=0, eyeball=0), 16)(batch, 0)
+    loss.backward()
+    assert float(model.stream("head").density.weight.grad.abs().max()) > 0
+
+
+def test_offsets_start_as_nothing_and_cameras_turn_rays(toy_captures):
+    offsets = Offsets(4, (4, 3, 5, 27))
+    batch = BatchMaker(toy_captures, 16).batch([2], np.random.default_rng(0))
+    still = offsets.move_rays(batch)
+    assert torch.allclose(still.rays_d, batch.rays_d, atol=1e-6)
+    with torch.no_grad():
+        offsets.angles[2] = torch.tensor([0.0, 0.1, 0.0])
+        offsets.shift[2] = torch.tensor([0.0, 0.0, 0.5])
+    moved = offsets.move_rays(batch)
+    assert torch.allclose(moved.rays_o - batch.rays_o, torch.tensor([0.0, 0.0, 0.5]).expand_as(batch.rays_o), atol=1e-5)
+    angle = torch.arccos((moved.rays_d * batch.rays_d).sum(-1).clamp(-1, 1))
+    assert float(angle.max()) == pytest.approx(0.1, abs=0.01)
+
+
+def test_learned_codes_are_pulled_back(toy_captures, toy_eyeballs, tmp_path):
+    config = replace(CONFIG, steps=3, learn_codes=True, learn_cameras=True, disentanglement=1.0)
+    seen = []
+    run(toy_captures, tmp_path, toy_eyeballs, config, on_step=lambda progress: seen.append(progress.parts))
+    assert seen[0]["disentanglement"] == 0.0 and seen[-1]["disentanglement"] >= 0.0
+
+
+def test_the_schedule_warms_up_and_ends_low():
+    config = TrainConfig(steps=100, warmup=10, learning_rate=1.0, final_learning_rate=0.1)
+    rates = [schedule(config, step) for step in range(100)]
+    assert rates[0] == pytest.approx(0.1) and max(rates) == pytest.approx(1.0)
+    assert rates[-1] == pytest.approx(0.1, abs=0.01) and rates[10:] == sorted(rates[10:], reverse=True)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [({"captures": []}, "no captures"), ({"resume": True}, "nothing to resume"), ({"field": 1}, "codes")],
+)
+def test_bad_input_is_one_line(toy_captures, toy_eyeballs, tmp_path, change, message):
+    field = FIELD if "field" not in change else FIELDS["tiny"]
+    captures = change.get("captures", toy_captures)
+    with pytest.raises(UserError, match=message) as caught:
+        train(captures, field, CONFIG, tmp_path, eyeballs=toy_eyeballs, resume=change.get("resume", False))
+    assert "\n" not in str(caught.value) and not (tmp_path / "field.safetensors").exists()
+
+
+def test_unknown_settings_are_refused():
+    with pytest.raises(ValueError, match="unknown training settings: speed"):
+        TrainConfig.from_dict({"speed": 3})
