@@ -80,7 +80,8 @@ def render_page(result: CheckResult, numbers: dict) -> str:
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width,initial-scale=1">
 <title>Consistency of {html.escape(about["subject"])}</title><style>{_STYLE}</style></head><body>
 <h1>Is {html.escape(about["subject"])} one consistent 3D head?</h1>
-<p>{counts["pass"]} passed, {counts["warn"]} to watch, {counts["fail"]} failed. Gaze: pitch {pitch:g}&deg;, yaw {yaw:g}&deg;.
+<p>{counts["pass"]} passed, {counts["warn"]} to watch, {counts["fail"]} failed.
+Gaze: pitch {pitch:g}&deg;, yaw {yaw:g}&deg;.
 Reference: {html.escape(" and ".join(result.renderers))} renders of the head model at the same gaze.</p>{missing}
 <h2>Verdict</h2><div class=scroll><table>
 <tr><th>measure</th><th>value</th><th>passes</th><th>warns</th><th></th></tr>{rows}</table></div>

@@ -54,7 +54,8 @@ class Rasterizer:
             self._renderer = pyrender.OffscreenRenderer(size[0] * supersampling, size[1] * supersampling)
         except Exception as error:
             raise UserError(
-                f"pyrender cannot open an off-screen context ({error}); install libegl1 (Debian: apt-get install libegl1)"
+                f"pyrender cannot open an off-screen context ({error}); "
+                "install libegl1 (Debian: apt-get install libegl1)"
             ) from error
 
     def close(self) -> None:
