@@ -56,3 +56,16 @@ def bake_vertex_colours(
             _, nearest = KDTree(vertices[seen]).query(vertices[~seen])
             total[~seen] = total[seen][nearest]
     return np.clip(np.round(255.0 * total), 0, 255).astype(np.uint8), float(seen.mean())
+
+
+def vertex_colours(mesh: trimesh.Trimesh) -> np.ndarray | None:
+    """(V, 4) uint8 sRGB, None where the mesh has none."""
+    visual = mesh.visual
+    if visual is None or visual.kind != "vertex":
+        return None
+    return np.asarray(visual.vertex_colors)  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def linear_from_srgb(colours: np.ndarray) -> np.ndarray:
+    """Linear light from sRGB values in [0, 1] (IEC 61966-2-1)."""
+    return np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)

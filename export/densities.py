@@ -1,4 +1,4 @@
-"""Density on a regular grid: dense, or refined only where a surface can be."""
+"""Density on a regular grid, and what a grid costs."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def query(bound: BoundField, points: np.ndarray, part: Part) -> np.ndarray:
 def sample_density(
     bound: BoundField, part: Part, box: np.ndarray, resolution: int, progress: Progress | None = None
 ) -> DensityGrid:
-    """The dense grid: every point is asked for. The slow reference of `refine_density`."""
+    """The dense grid: every point is asked for. The slow reference of `export.refine`."""
     shape, spacing = grid_shape(box, resolution)
     origin = np.asarray(box[0], dtype=np.float64)
     values = np.empty(shape, dtype=np.float32)
@@ -99,64 +99,14 @@ def sample_density(
     flat = values.reshape(-1)
     for start in range(0, total, CHUNK):
         index = np.arange(start, min(start + CHUNK, total))
-        flat[index] = query(bound, _positions(index, shape, origin, spacing), part)
+        flat[index] = query(bound, grid_points(index, shape, origin, spacing), part)
         if progress is not None:
             progress(int(index[-1]) + 1, total)
     return DensityGrid(values, origin, spacing, total)
 
 
-def refine_density(
-    bound: BoundField,
-    part: Part,
-    box: np.ndarray,
-    resolution: int,
-    levels: tuple[float, float],
-    *,
-    factor: int = 4,
-    margin: int = 1,
-    progress: Progress | None = None,
-) -> DensityGrid:
-    """The same grid, asked for only near surfaces of levels between two densities.
-
-    A grid `factor` times coarser is sampled first. Around every coarse cell whose corners do not all
-    lie on one side of the levels, grown by `margin` cells, the fine points are asked for; elsewhere
-    they take the coarse value, which lies on the same side. Features thinner than a coarse cell can
-    be missed; `margin` makes that rarer.
-
-    Args:
-        levels: Lowest and highest density at which a surface will be taken.
-    """
-    shape, spacing = grid_shape(box, resolution)
-    low, high = levels
-    origin = np.asarray(box[0], dtype=np.float64)
-    coarse_shape = tuple(int(np.ceil((n - 1) / factor)) + 1 for n in shape)
-    index = np.arange(int(np.prod(coarse_shape)))
-    coarse = np.concatenate(
-        [
-            query(bound, _positions(chunk, coarse_shape, origin, factor * spacing), part)
-            for chunk in np.array_split(index, max(1, len(index) // CHUNK))
-        ]
-    ).reshape(coarse_shape)
-    corners = np.ones((2, 2, 2), dtype=bool)
-    window = {"footprint": corners, "mode": "nearest", "origin": (-1, -1, -1)}
-    mixed = (ndimage.maximum_filter(coarse, **window) > low) & (ndimage.minimum_filter(coarse, **window) <= high)
-    if margin:
-        mixed = ndimage.binary_dilation(mixed, np.ones((3, 3, 3)), iterations=margin)
-    sizes = list(zip(shape, coarse_shape, strict=True))
-    nearest = [np.minimum(np.round(np.arange(n) / factor).astype(int), m - 1) for n, m in sizes]
-    values = coarse[np.ix_(*nearest)].astype(np.float32)
-    cell = [np.minimum(np.arange(n) // factor, m - 1) for n, m in sizes]
-    wanted = np.flatnonzero(mixed[np.ix_(*cell)])
-    flat = values.reshape(-1)
-    for start in range(0, len(wanted), CHUNK):
-        chunk = wanted[start : start + CHUNK]
-        flat[chunk] = query(bound, _positions(chunk, shape, origin, spacing), part)
-        if progress is not None:
-            progress(start + len(chunk), len(wanted))
-    return DensityGrid(values, origin, spacing, len(index) + len(wanted))
-
-
-def _positions(index: np.ndarray, shape: tuple[int, ...], origin: np.ndarray, spacing: float) -> np.ndarray:
+def grid_points(index: np.ndarray, shape: tuple[int, ...], origin: np.ndarray, spacing: float) -> np.ndarray:
+    """World positions (N, 3) of flat grid indices (N,)."""
     place = np.stack(np.unravel_index(index, shape), axis=-1)
     return origin + spacing * place
 

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import trimesh
-from trimesh.exchange.gltf import export_glb
 
+from export.colours import vertex_colours
+from export.gltf import Node, glb
 from gazenerf import __version__
 from gazenerf.field.interface import BoundField
 
@@ -31,40 +32,6 @@ def in_metres(mesh: trimesh.Trimesh, metres_per_unit: float) -> trimesh.Trimesh:
     )
 
 
-def vertex_colours(mesh: trimesh.Trimesh) -> np.ndarray | None:
-    """(V, 4) uint8 sRGB, None where the mesh has none."""
-    visual = mesh.visual
-    if visual is None or visual.kind != "vertex":
-        return None
-    return np.asarray(visual.vertex_colors)  # pyright: ignore[reportAttributeAccessIssue]
-
-
-def _linear_colours(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """glTF's vertex colours are linear; pictures are sRGB."""
-    colours = vertex_colours(mesh)
-    if colours is None:
-        return mesh
-    rgba = colours.astype(np.float64) / 255.0
-    rgba[:, :3] = np.where(rgba[:, :3] <= 0.04045, rgba[:, :3] / 12.92, ((rgba[:, :3] + 0.055) / 1.055) ** 2.4)
-    return trimesh.Trimesh(
-        mesh.vertices,
-        mesh.faces,
-        vertex_normals=mesh.vertex_normals,
-        vertex_colors=np.round(255 * rgba).astype(np.uint8),
-        process=False,
-    )
-
-
-def _plain_material(tree: dict[str, Any]) -> None:
-    """Without a material a viewer shows metal; give every primitive a matt one."""
-    tree["materials"] = [
-        {"name": "matt", "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.8}, "doubleSided": True}
-    ]
-    for mesh in tree["meshes"]:
-        for primitive in mesh["primitives"]:
-            primitive["material"] = 0
-
-
 def write_mesh(extracted: PartMesh, bound: BoundField, folder: Path, formats: tuple[str, ...]) -> None:
     """Write one part in every format, and its sidecar, to an existing folder."""
     mesh = in_metres(extracted.mesh, bound.metres_per_unit)
@@ -72,9 +39,7 @@ def write_mesh(extracted: PartMesh, bound: BoundField, folder: Path, formats: tu
     for kind in formats:
         path = folder / f"{name}.{kind}"
         if kind == "glb":
-            scene = trimesh.Scene()
-            scene.add_geometry(_linear_colours(mesh), node_name=name, geom_name=name)
-            path.write_bytes(export_glb(scene, include_normals=True, tree_postprocessor=_plain_material))
+            path.write_bytes(glb(Node(name, mesh)))
         elif kind == "ply":
             mesh.export(path, file_type="ply", vertex_normal=True)
         else:

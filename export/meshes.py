@@ -4,23 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 
 import numpy as np
+import torch
 import trimesh
 
 from export.colours import bake_vertex_colours
-from export.densities import DensityGrid, fill_enclosed, refine_density
+from export.cleaning import Cleaning, keep_largest
+from export.densities import DensityGrid, fill_enclosed, grid_shape
 from export.files import FORMATS, write_mesh
 from export.isosurface import isosurface
 from export.normals import density_normals
+from export.refine import refine_density
 from export.threshold import CANDIDATES, Threshold, choose_threshold
 from gazenerf.errors import UserError
 from gazenerf.field.interface import BoundField, Part
 from gazenerf.files import whole_folder
 
 KEPT_COMPONENTS = {"face": 1, "eyes": 2, "head": 3}
+JUDGING_RESOLUTION = 96
+"""Grid points along the longest side while a threshold is chosen."""
+
 MESH_PARTS: tuple[Part, ...] = ("face", "eyes", "head")
 
 
@@ -53,17 +58,24 @@ def extract_part(
     *,
     resolution: int = 192,
     threshold: str | float = "auto",
+    method: str = "flying-edges",
+    smoothing: int = 0,
+    max_faces: int | None = None,
     colours: bool = True,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> PartMesh:
     """The surface of one part of a bound field.
 
-    The density is sampled coarse to fine, the threshold chosen, what is enclosed made solid (face
-    and head), small pieces dropped, normals and colours added.
+    The threshold is chosen on a grid of at most `JUDGING_RESOLUTION`, the density sampled along that
+    level's surface, what is enclosed made solid (face and head), small pieces dropped, the surface
+    cleaned, normals and colours added.
 
     Args:
         resolution: Grid points along the longest side of the field's box.
         threshold: `auto`, a density, or a percentile such as `p50`.
+        method: One of `export.isosurface.METHODS`.
+        smoothing: Rounds of Taubin smoothing.
+        max_faces: Decimate to at most so many faces.
         colours: Bake vertex colours from rendered views.
         progress: Called with (stage, done, total).
 
@@ -72,10 +84,8 @@ def extract_part(
     """
     if part not in MESH_PARTS:
         raise UserError(f"unknown part {part!r}; there are {', '.join(MESH_PARTS)}")
-    fixed = None if isinstance(threshold, str) else float(threshold)
-    levels = (CANDIDATES[0], CANDIDATES[-1]) if fixed is None or not np.isfinite(fixed) else (fixed, fixed)
-    if isinstance(threshold, str) and threshold.startswith("p"):
-        levels = (1e-3, np.inf)
+    cleaning = Cleaning(KEPT_COMPONENTS[part], smoothing, max_faces)
+    grid_shape(bound.box, resolution)
 
     def told(stage: str) -> Callable[[int, int], None] | None:
         if progress is None:
@@ -83,25 +93,30 @@ def extract_part(
         tell = progress
         return lambda done, total: tell(stage, done, total)
 
-    box = _part_box(bound, part)
-    grid = refine_density(bound, part, box, resolution, levels, progress=told(f"{part} density"))
-    steps = ["coarse-to-fine density"]
-    other: DensityGrid | None = None
-    if part == "face":
-        other = _other_volume(bound, box, resolution, levels)
+    box, queries = _part_box(bound, part)
 
-    @cache
-    def volume(level: float) -> DensityGrid:
-        return grid if part == "eyes" else fill_enclosed(grid, other, level)
+    def volumes(side: int, levels: tuple[float, float]) -> tuple[DensityGrid, DensityGrid | None]:
+        own = refine_density(bound, part, box, side, levels, progress=told(f"{part} density"))
+        return own, refine_density(bound, "eyes", box, side, levels) if part == "face" and has_eyes(bound) else None
 
-    def surface(level: float) -> trimesh.Trimesh:
-        return keep_largest(isosurface(volume(level), level), KEPT_COMPONENTS[part])
+    level = _fixed_level(threshold)
+    if level is not None:
+        chosen = Threshold(level, "fixed")
+    else:
+        judged, beside = volumes(min(resolution, JUDGING_RESOLUTION), _judged_levels(threshold))
+        queries += judged.queries + (beside.queries if beside else 0)
 
-    chosen = choose_threshold(bound, part, grid, threshold, surface)
-    mesh = surface(chosen.level)
-    if part != "eyes":
-        steps.append("enclosed space filled")
-    steps += ["flying edges", f"largest {KEPT_COMPONENTS[part]} component(s) kept"]
+        def candidate(level: float) -> trimesh.Trimesh:
+            solid = judged if part == "eyes" else fill_enclosed(judged, beside, level)
+            return keep_largest(isosurface(solid, level, method), KEPT_COMPONENTS[part])
+
+        chosen = choose_threshold(bound, part, judged, threshold, candidate)
+    grid, other = volumes(resolution, (chosen.level, chosen.level))
+    queries += grid.queries + (other.queries if other else 0)
+    solid = grid if part == "eyes" else fill_enclosed(grid, other, chosen.level)
+    mesh = cleaning.apply(isosurface(solid, chosen.level, method))
+    steps = ["coarse-to-fine density", *(() if part == "eyes" else ("enclosed space filled",))]
+    steps += [method.replace("-", " "), *cleaning.steps()]
     normals = density_normals(bound, np.asarray(mesh.vertices), part, 0.5 * grid.spacing, mesh.vertex_normals)
     mesh = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_normals=normals, process=False)
     steps.append("normals from the density gradient")
@@ -110,49 +125,44 @@ def extract_part(
         rgba = np.concatenate([rgb, np.full((len(rgb), 1), 255, np.uint8)], axis=1)
         mesh = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_normals=normals, vertex_colors=rgba, process=False)
         steps.append(f"vertex colours from rendered views ({seen:.0%} of the vertices seen)")
-    return PartMesh(
-        part,
-        mesh,
-        chosen,
-        grid.values.shape,
-        grid.spacing,
-        grid.queries + (other.queries if other else 0),
-        tuple(steps),
-    )
+    return PartMesh(part, mesh, chosen, grid.values.shape, grid.spacing, queries, tuple(steps))
 
 
-def _part_box(bound: BoundField, part: Part) -> np.ndarray:
-    """The field's box; for the eyes the smallest box around their density, so that it is sampled finely."""
+def _fixed_level(threshold: str | float) -> float | None:
+    """A threshold that needs no judging."""
+    try:
+        return float(threshold)
+    except ValueError:
+        return None
+
+
+def _judged_levels(threshold: str | float) -> tuple[float, float]:
+    return (CANDIDATES[0], CANDIDATES[-1]) if threshold == "auto" else (1e-3, np.inf)
+
+
+def has_eyes(bound: BoundField) -> bool:
+    """Whether the field has an eyes volume of its own."""
+    try:
+        bound.density(torch.zeros(1, 3), "eyes")
+    except UserError:
+        return False
+    return True
+
+
+def _part_box(bound: BoundField, part: Part) -> tuple[np.ndarray, int]:
+    """The field's box; for the eyes the smallest box around their density, so that it is sampled finely.
+
+    Also how many points that took.
+    """
     if part != "eyes":
-        return bound.box
+        return bound.box, 0
     probe = refine_density(bound, "eyes", bound.box, 64, (0.5, np.inf))
     found = np.argwhere(probe.values > 0.5)
     if not len(found):
         raise UserError("the eyes volume is empty; train longer or export --parts face")
     margin = 2 * probe.spacing
-    return np.stack(
-        [probe.origin + probe.spacing * found.min(0) - margin, probe.origin + probe.spacing * found.max(0) + margin]
-    )
-
-
-def _other_volume(
-    bound: BoundField, box: np.ndarray, resolution: int, levels: tuple[float, float]
-) -> DensityGrid | None:
-    try:
-        return refine_density(bound, "eyes", box, resolution, levels)
-    except UserError:
-        return None
-
-
-def keep_largest(mesh: trimesh.Trimesh, count: int) -> trimesh.Trimesh:
-    """The `count` connected components with the largest enclosed volume, as one mesh."""
-    pieces = mesh.split(only_watertight=False)
-    if len(pieces) <= count:
-        return mesh
-    order = sorted(pieces, key=lambda piece: abs(float(piece.volume)), reverse=True)[:count]
-    kept = trimesh.util.concatenate(order)
-    assert isinstance(kept, trimesh.Trimesh)
-    return kept
+    corners = probe.origin + probe.spacing * np.stack([found.min(0), found.max(0)])
+    return corners + np.array([[-margin], [margin]]), probe.queries
 
 
 def mesh_subject(

@@ -18,7 +18,7 @@ VIEWS = ((0.0, 0.0), (40.0, 5.0), (-40.0, -5.0))
 """Yaw and pitch, degrees, of the views that judge a threshold."""
 
 CANDIDATES = (3.0, 6.0, 12.0, 24.0, 48.0, 96.0)
-"""Densities per world unit that `auto` tries, where the volume reaches them."""
+"""Densities per world unit that `auto` tries where the volume reaches them, then between the best and its neighbours."""
 
 
 @dataclass(frozen=True)
@@ -95,5 +95,11 @@ def choose_threshold(
             f"no automatic threshold fits the {part} volume, whose largest density is {grid.values.max():.3g}; "
             "give --threshold X"
         )
+    best = min(tried, key=lambda pair: pair[1])[0]
+    levels = [level for level, _ in tried]
+    place = levels.index(best)
+    for other in levels[max(place - 1, 0) : place] + levels[place + 1 : place + 2]:
+        between = float(np.sqrt(best * other))
+        tried.append((between, depth_disagreement(surface(between), views, bound.metres_per_unit)))
     level, error = min(tried, key=lambda pair: pair[1])
-    return Threshold(level, "auto", error, tuple(tried))
+    return Threshold(level, "auto", error, tuple(sorted(tried)))

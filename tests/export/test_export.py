@@ -11,9 +11,10 @@ import pytest
 import trimesh
 
 from export import extract_part, mesh_subject
-from export.densities import DensityGrid, fill_enclosed, grid_shape, refine_density, sample_density
+from export.densities import DensityGrid, fill_enclosed, grid_shape, sample_density
 from export.isosurface import METHODS, isosurface
 from export.raycast import _cast_vtk, cast_rays
+from export.refine import refine_density
 from gazenerf.errors import UserError
 from gazenerf.field.analytic import AnalyticField
 

@@ -1,0 +1,171 @@
+"""Binary glTF 2.0: coloured nodes in a hierarchy, and rotations that move them.
+
+trimesh writes static scenes with 8-bit colours; a rig needs animation, and 8 linear bits band in
+dark skin. Colours are written as 16-bit linear values.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from export.colours import linear_from_srgb, vertex_colours
+from gazenerf import __version__
+
+FLOAT, UINT32, UINT16 = 5126, 5125, 5123
+VERTICES, INDICES = 34962, 34963
+IDENTITY = (0.0, 0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Node:
+    """A node of a scene, metres.
+
+    Attributes:
+        name: Its name.
+        mesh: Geometry about the node's origin, None for a group.
+        translation: (3,) of the node's origin in its parent.
+        rotation: Quaternion x, y, z, w.
+        roughness: Of the material; metallic is always 0.
+        children: Nodes below.
+    """
+
+    name: str
+    mesh: trimesh.Trimesh | None = None
+    translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rotation: tuple[float, float, float, float] = IDENTITY
+    roughness: float = 0.8
+    children: tuple[Node, ...] = ()
+
+
+@dataclass(frozen=True)
+class Animation:
+    """Rotations of nodes over time.
+
+    Attributes:
+        name: Its name.
+        times: (T,) seconds, ascending.
+        rotations: Node name to (T, 4) quaternions x, y, z, w.
+    """
+
+    name: str
+    times: np.ndarray
+    rotations: dict[str, np.ndarray]
+
+
+@dataclass
+class _Writer:
+    tree: dict[str, Any]
+    data: bytearray = field(default_factory=bytearray)
+
+    def accessor(
+        self, values: np.ndarray, component: int, kind: str, *, target: int | None = None, limits: bool = False,
+        normalized: bool = False,
+    ) -> int:  # fmt: skip
+        """Append an array to the buffer; its accessor's index."""
+        self.data.extend(b"\0" * (-len(self.data) % 4))
+        view: dict[str, Any] = {"buffer": 0, "byteOffset": len(self.data), "byteLength": values.nbytes}
+        if target is not None:
+            view["target"] = target
+        self.data.extend(values.tobytes())
+        self.tree["bufferViews"].append(view)
+        entry: dict[str, Any] = {
+            "bufferView": len(self.tree["bufferViews"]) - 1,
+            "componentType": component,
+            "count": len(values),
+            "type": kind,
+        }
+        if normalized:
+            entry["normalized"] = True
+        if limits:
+            flat = values.reshape(len(values), -1)
+            entry |= {"min": flat.min(axis=0).tolist(), "max": flat.max(axis=0).tolist()}
+        self.tree["accessors"].append(entry)
+        return len(self.tree["accessors"]) - 1
+
+    def mesh(self, mesh: trimesh.Trimesh, name: str, roughness: float) -> int:
+        """Append a mesh; its index."""
+        normals = np.asarray(mesh.vertex_normals, dtype=np.float64)
+        normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        attributes = {
+            "POSITION": self.accessor(
+                np.asarray(mesh.vertices, dtype="<f4"), FLOAT, "VEC3", target=VERTICES, limits=True
+            ),
+            "NORMAL": self.accessor(normals.astype("<f4"), FLOAT, "VEC3", target=VERTICES),
+        }
+        colours = vertex_colours(mesh)
+        if colours is not None:
+            rgba = np.ones((len(colours), 4))
+            rgba[:, :3] = linear_from_srgb(colours[:, :3] / 255.0)
+            attributes["COLOR_0"] = self.accessor(
+                np.round(65535.0 * rgba).astype("<u2"), UINT16, "VEC4", target=VERTICES, normalized=True
+            )
+        indices = self.accessor(np.asarray(mesh.faces, dtype="<u4").reshape(-1), UINT32, "SCALAR", target=INDICES)
+        self.tree["materials"].append(
+            {"name": name, "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": roughness}}
+        )
+        primitive = {"attributes": attributes, "indices": indices, "material": len(self.tree["materials"]) - 1}
+        self.tree["meshes"].append({"name": name, "primitives": [primitive]})
+        return len(self.tree["meshes"]) - 1
+
+    def node(self, node: Node) -> int:
+        """Append a node and those below; its index."""
+        entry: dict[str, Any] = {"name": node.name}
+        if node.mesh is not None:
+            entry["mesh"] = self.mesh(node.mesh, node.name, node.roughness)
+        if any(node.translation):
+            entry["translation"] = [float(value) for value in node.translation]
+        if tuple(node.rotation) != IDENTITY:
+            entry["rotation"] = [float(value) for value in node.rotation]
+        if node.children:
+            entry["children"] = [self.node(child) for child in node.children]
+        self.tree["nodes"].append(entry)
+        return len(self.tree["nodes"]) - 1
+
+    def animation(self, animation: Animation) -> dict[str, Any]:
+        """Append an animation's samples; its entry."""
+        names = [node["name"] for node in self.tree["nodes"]]
+        time = self.accessor(animation.times.astype("<f4"), FLOAT, "SCALAR", limits=True)
+        entry: dict[str, Any] = {"name": animation.name, "samplers": [], "channels": []}
+        for name, rotation in animation.rotations.items():
+            output = self.accessor(rotation.astype("<f4"), FLOAT, "VEC4")
+            entry["channels"].append(
+                {"sampler": len(entry["samplers"]), "target": {"node": names.index(name), "path": "rotation"}}
+            )
+            entry["samplers"].append({"input": time, "output": output, "interpolation": "LINEAR"})
+        return entry
+
+
+def glb(root: Node, animations: tuple[Animation, ...] = ()) -> bytes:
+    """A scene as the bytes of a .glb file.
+
+    Args:
+        root: The scene's only root.
+        animations: Clips; they name nodes under `root`.
+
+    Raises:
+        ValueError: a clip names a node that is not there.
+    """
+    writer = _Writer(
+        {
+            "asset": {"version": "2.0", "generator": f"gazenerf {__version__}"},
+            "scene": 0,
+            "scenes": [{}],
+            **{key: [] for key in ("nodes", "meshes", "materials", "accessors", "bufferViews")},
+        }
+    )
+    writer.tree["scenes"][0]["nodes"] = [writer.node(root)]
+    if animations:
+        writer.tree["animations"] = [writer.animation(animation) for animation in animations]
+    writer.data.extend(b"\0" * (-len(writer.data) % 4))
+    writer.tree["buffers"] = [{"byteLength": len(writer.data)}]
+    text = json.dumps(writer.tree, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text
+    chunks += struct.pack("<I4s", len(writer.data), b"BIN\0") + bytes(writer.data)
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
