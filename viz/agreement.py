@@ -53,11 +53,18 @@ def depth_difference_mm(view: DepthView, reference: DepthView, metres_per_unit: 
     return (view.depth.astype(np.float64) - reference.depth) * metres_per_unit * 1000.0
 
 
-def compare(view: DepthView, reference: DepthView, metres_per_unit: float, interior: int = 1) -> Agreement:
+def compare(
+    view: DepthView,
+    reference: DepthView,
+    metres_per_unit: float,
+    interior: int = 1,
+    where: np.ndarray | None = None,
+) -> Agreement:
     """Compare a view with a reference of the same camera.
 
     Args:
         interior: Pixels by which the common silhouette is shrunk before depth is compared.
+        where: (H, W) bool, compare depth and normals here only.
 
     Raises:
         ValueError: the sizes differ.
@@ -67,6 +74,8 @@ def compare(view: DepthView, reference: DepthView, metres_per_unit: float, inter
     mine, theirs = np.isfinite(view.depth), np.isfinite(reference.depth)
     both = mine & theirs
     inside = ndimage.binary_erosion(both, iterations=interior) if interior else both
+    if where is not None:
+        inside = inside & where
     union = int((mine | theirs).sum())
     error = depth_difference_mm(view, reference, metres_per_unit)[inside]
     nothing = float("nan")
@@ -113,45 +122,81 @@ def reproject(
     metres_per_unit: float,
     image_a: np.ndarray | None = None,
     image_b: np.ndarray | None = None,
+    covisible: np.ndarray | None = None,
 ) -> Reprojection:
     """Round trip of view A's pixels through view B's depth, as in multi-view stereo fusion.
 
-    Co-visible pixels are those that land inside B on a pixel with depth, at most 0.1 units behind
-    its surface: farther behind they are hidden there.
-
     Args:
         image_a, image_b: (H, W, 3) pictures in [0, 1] of the same cameras.
+        covisible: (H, W) bool, the pixels of A to judge, as `seen_by_both` finds them; one without
+            depth in A or B is inconsistent then. When None: those that land inside B on a pixel with
+            depth, at most 0.1 units behind its surface (farther behind they are hidden there).
     """
     rays_o, rays_d = a.camera.rays()
-    seen = np.isfinite(a.depth)
+    seen = np.isfinite(a.depth) if covisible is None else np.isfinite(a.depth) & covisible
     points = (rays_o + np.where(seen, a.depth, 1.0)[..., None] * rays_d)[seen]
     pixels, z = b.camera.project(points)
     there = _sample(b.depth, pixels)
     distance = np.linalg.norm(points - b.camera.position, axis=1)
-    covisible = np.isfinite(there) & (z > 0) & (distance - there < 0.1)
+    met = np.isfinite(there) & (z > 0)
+    if covisible is None:
+        met &= distance - there < 0.1
+    judged = int(met.sum()) if covisible is None else int(covisible.sum())
     nothing = float("nan")
-    if not covisible.any():
-        return Reprojection(nothing, nothing, nothing, nothing, 0)
-    own = a.camera.pixel_centres()[seen][covisible]
-    directions = b.camera.rays(pixels[covisible])[1]
-    back = b.camera.position + there[covisible, None] * directions
+    if not met.any():
+        return Reprojection(0.0 if judged else nothing, nothing, nothing, nothing, judged)
+    own = a.camera.pixel_centres()[seen][met]
+    directions = b.camera.rays(pixels[met])[1]
+    back = b.camera.position + there[met, None] * directions
     returned, _ = a.camera.project(back)
     gap = np.linalg.norm(returned - own, axis=1)
     depth_back = np.linalg.norm(back - a.camera.position, axis=1)
-    depth_gap = np.abs(depth_back - a.depth[seen][covisible])
-    good = (gap < 1.0) & (depth_gap < 0.01 * a.depth[seen][covisible])
+    depth_gap = np.abs(depth_back - a.depth[seen][met])
+    good = (gap < 1.0) & (depth_gap < 0.01 * a.depth[seen][met])
     psnr = nothing
     if image_a is not None and image_b is not None and good.any():
         warped = cv2.remap(
-            image_b.astype(np.float32), (pixels[covisible][good, 0] - 0.5).astype(np.float32)[None],
-            (pixels[covisible][good, 1] - 0.5).astype(np.float32)[None], cv2.INTER_LINEAR,
+            image_b.astype(np.float32), (pixels[met][good, 0] - 0.5).astype(np.float32)[None],
+            (pixels[met][good, 1] - 0.5).astype(np.float32)[None], cv2.INTER_LINEAR,
         )[0]  # fmt: skip
-        mse = float(((warped - image_a[seen][covisible][good]) ** 2).mean())
+        mse = float(((warped - image_a[seen][met][good]) ** 2).mean())
         psnr = float(-10.0 * np.log10(max(mse, 1e-10)))
     return Reprojection(
-        float(good.mean()), float(np.median(gap)), float(np.median(depth_gap) * metres_per_unit * 1000.0), psnr,
-        int(covisible.sum()),
+        float(good.sum() / judged), float(np.median(gap)), float(np.median(depth_gap) * metres_per_unit * 1000.0), psnr,
+        judged,
     )  # fmt: skip
+
+
+def seen_by_both(a: DepthView, b: DepthView, tolerance: float = 0.01) -> np.ndarray:
+    """(H, W) bool: pixels of A, one inside its silhouette, whose surface point B sees as well.
+
+    Args:
+        a, b: Exact views of one surface, such as two of the reference.
+        tolerance: World units between the point and B's surface along B's ray.
+    """
+    rays_o, rays_d = a.camera.rays()
+    seen = ndimage.binary_erosion(np.isfinite(a.depth))
+    points = rays_o[seen] + a.depth[seen][:, None] * rays_d[seen]
+    pixels, z = b.camera.project(points)
+    distance = np.linalg.norm(points - b.camera.position, axis=1)
+    out = np.zeros(a.depth.shape, dtype=bool)
+    out[seen] = (z > 0) & (np.abs(np.nan_to_num(_sample(b.depth, pixels), nan=np.inf) - distance) < tolerance)
+    return out
+
+
+def blemish_mm2(view: DepthView, reference: DepthView, metres_per_unit: float, limit_mm: float = 5.0) -> float:
+    """Area of the largest connected spot that is off by more than a limit, or missing, inside the reference.
+
+    Four pixels at the reference's edge are left out. The area is that of the pixels at the
+    reference's depth, seen face on.
+    """
+    inside = ndimage.binary_erosion(np.isfinite(reference.depth), iterations=4)
+    off = np.abs(np.nan_to_num(depth_difference_mm(view, reference, metres_per_unit), nan=np.inf)) > limit_mm
+    spots, count = ndimage.label(ndimage.binary_opening(off & inside))
+    if not count:
+        return 0.0
+    side = np.where(inside, reference.depth, 0.0) / view.camera.fx * metres_per_unit * 1000.0
+    return float(ndimage.sum_labels(side * side, spots, np.arange(1, count + 1)).max())
 
 
 def _sample(depth: np.ndarray, pixels: np.ndarray) -> np.ndarray:

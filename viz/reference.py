@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import tempfile
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 
@@ -45,6 +43,7 @@ class ReferenceView:
         normals: (H, W, 3) float32 interpolated unit normals, world frame, NaN where nothing is hit.
         parts: (H, W) uint8: 0 background, 1 face, 2 left eye, 3 right eye.
         renderer: Which one.
+        colour: (H, W, 3) float32 sRGB picture on black, None when it was not asked for or open3d rendered.
     """
 
     camera: Camera
@@ -52,11 +51,21 @@ class ReferenceView:
     normals: np.ndarray
     parts: np.ndarray
     renderer: str
+    colour: np.ndarray | None = None
+
+
+def usable(renderer: str) -> bool:
+    """Whether a renderer starts here; tried in another process, so that a crash stays there.
+
+    Raises:
+        UserError: unknown renderer.
+    """
+    return obstacle(renderer) is None
 
 
 @cache
-def usable(renderer: str) -> bool:
-    """Whether a renderer starts here; tried in another process, so that a crash stays there.
+def obstacle(renderer: str) -> str | None:
+    """What keeps a renderer from starting, and the fix, in one line; None when it starts.
 
     Raises:
         UserError: unknown renderer.
@@ -64,32 +73,48 @@ def usable(renderer: str) -> bool:
     if renderer not in RENDERERS:
         raise UserError(f"unknown reference renderer {renderer!r}; there are {', '.join(RENDERERS)}")
     try:
-        done = subprocess.run([sys.executable, "-c", _PROBES[renderer]], capture_output=True, timeout=120, check=False)
-    except (OSError, subprocess.TimeoutExpired):
-        return False
-    return done.returncode == 0
+        done = subprocess.run(
+            [sys.executable, "-c", _PROBES[renderer]], capture_output=True, text=True, timeout=120, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return f"{type(error).__name__}; {FIXES[renderer]}"
+    if done.returncode == 0:
+        return None
+    spoken = done.stderr.strip().splitlines() or [f"it ended with code {done.returncode}"]
+    return f"{spoken[-1].strip()[:160]}; {FIXES[renderer]}"
 
 
-def render_reference(mesh: HeadMesh, cameras: list[Camera], renderer: str) -> list[ReferenceView]:
+def render_reference(
+    mesh: HeadMesh, cameras: list[Camera], renderer: str, illumination: np.ndarray | None = None
+) -> list[ReferenceView]:
     """Views of a head mesh.
 
     Args:
         mesh: The head, world units.
         cameras: All of one size.
         renderer: One of `RENDERERS`; call `usable` first.
+        illumination: (27,) spherical-harmonic light; asks for pictures, path traced by Mitsuba,
+            shaded at the vertices by pyrender.
     """
-    return {"mitsuba": _mitsuba, "pyrender": _pyrender, "open3d": _open3d}[renderer](mesh, cameras)
+    return {"mitsuba": _mitsuba, "pyrender": _pyrender, "open3d": _open3d}[renderer](mesh, cameras, illumination)
 
 
-def _pyrender(mesh: HeadMesh, cameras: list[Camera]) -> list[ReferenceView]:
+def _pyrender(mesh: HeadMesh, cameras: list[Camera], illumination: np.ndarray | None) -> list[ReferenceView]:
     from gazenerf.data.rasterizer import Rasterizer
+    from gazenerf.head_model.shading import shade
 
     views = []
     with Rasterizer((cameras[0].width, cameras[0].height), supersampling=1) as rasterizer:
         for camera in cameras:
-            raster = rasterizer.render(mesh, np.zeros_like(mesh.vertices), camera)
+            if illumination is None:
+                colours = np.zeros_like(mesh.vertices)
+            else:
+                colours = shade(mesh, illumination, camera.position)
+            raster = rasterizer.render(mesh, colours, camera)
+            picture = None if illumination is None else raster.image.astype(np.float32) / 255.0
             depth = np.where(raster.parts > 0, raster.depth, np.nan).astype(np.float32)
-            views.append(ReferenceView(camera, depth, rasterizer.normals(mesh, camera), raster.parts, "pyrender"))
+            normals = rasterizer.normals(mesh, camera)
+            views.append(ReferenceView(camera, depth, normals, raster.parts, "pyrender", picture))
     return views
 
 
@@ -99,7 +124,7 @@ def _interpolated(mesh: HeadMesh, faces: np.ndarray, weights: np.ndarray) -> np.
     return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
 
 
-def _open3d(mesh: HeadMesh, cameras: list[Camera]) -> list[ReferenceView]:
+def _open3d(mesh: HeadMesh, cameras: list[Camera], illumination: np.ndarray | None) -> list[ReferenceView]:
     import open3d as o3d
 
     tensor = o3d.core.Tensor.from_numpy
@@ -125,40 +150,13 @@ def _open3d(mesh: HeadMesh, cameras: list[Camera]) -> list[ReferenceView]:
     return views
 
 
-def _mitsuba(mesh: HeadMesh, cameras: list[Camera]) -> list[ReferenceView]:
-    """Rays through exact pixel centres, one by one in the scalar variant, which runs everywhere."""
-    import mitsuba as mi
-    import trimesh
+def _mitsuba(mesh: HeadMesh, cameras: list[Camera], illumination: np.ndarray | None) -> list[ReferenceView]:
+    from viz.reference_mitsuba import MitsubaScene
 
-    mi.set_variant("scalar_rgb")
-    with tempfile.TemporaryDirectory() as folder:
-        shapes: dict[str, object] = {"type": "scene"}
-        for part in np.unique(mesh.face_part):
-            path = Path(folder) / f"part{part}.ply"
-            trimesh.Trimesh(
-                mesh.vertices, mesh.part_faces(int(part)), vertex_normals=mesh.normals, process=False
-            ).export(path, vertex_normal=True)
-            shapes[f"part{part}"] = {"type": "ply", "filename": str(path), "id": f"part{part}"}
-        scene = mi.load_dict(shapes)
-    lower, upper = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    scene = MitsubaScene(mesh, illumination)
     views = []
     for camera in cameras:
-        rays_o, rays_d = camera.rays()
-        depth = np.full(rays_d.shape[:2], np.nan, np.float32)
-        normals = np.full(rays_d.shape, np.nan, np.float32)
-        parts = np.zeros(depth.shape, np.uint8)
-        origin = mi.Point3f(*camera.position)
-        for row, column in np.argwhere(_meets_box(rays_o, rays_d, lower, upper)):
-            hit = scene.ray_intersect(mi.Ray3f(origin, mi.Vector3f(*rays_d[row, column])))
-            if hit.is_valid():
-                depth[row, column] = hit.t
-                normals[row, column] = hit.sh_frame.n
-                parts[row, column] = int(hit.shape.id()[4:]) + 1
-        views.append(ReferenceView(camera, depth, normals, parts, "mitsuba"))
+        depth, normals, parts = scene.geometry(camera)
+        picture = None if illumination is None else scene.picture(camera)
+        views.append(ReferenceView(camera, depth, normals, parts, "mitsuba", picture))
     return views
-
-
-def _meets_box(rays_o: np.ndarray, rays_d: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    slope = np.where(np.abs(rays_d) < 1e-12, 1e-12, rays_d)
-    a, b = (lower - rays_o) / slope, (upper - rays_o) / slope
-    return np.minimum(a, b).max(axis=-1) <= np.maximum(a, b).min(axis=-1)

@@ -1,0 +1,197 @@
+"""Two surfaces compared as points with normals, before and after a rigid fit.
+
+The points are what the views show: each pixel's depth along its ray. A surface that no view shows is
+not judged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import KDTree
+
+from viz.agreement import DepthView
+
+F_LIMITS_MM = (1.0, 2.0, 5.0)
+"""Distances of the F-score."""
+
+
+@dataclass(frozen=True)
+class SurfaceSamples:
+    """Points on a surface.
+
+    Attributes:
+        points: (N, 3) world units.
+        normals: (N, 3) unit, outward.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+
+    def moved(self, alignment: Alignment) -> SurfaceSamples:
+        """The samples after an alignment."""
+        return SurfaceSamples(alignment.apply(self.points), self.normals @ alignment.rotation.T)
+
+
+@dataclass(frozen=True)
+class SurfaceAgreement:
+    """How far two surfaces are apart.
+
+    Attributes:
+        accuracy_mm: Mean distance from the field's points to the reference's surface.
+        completeness_mm: Mean distance from the reference's points to the field's surface.
+        chamfer_mm: Mean of the two.
+        normal_consistency: Mean cosine between normals of nearest points, both ways.
+        f_score: Limit in mm to F-score in [0, 1]; 0 when precision and recall are both 0.
+    """
+
+    accuracy_mm: float
+    completeness_mm: float
+    chamfer_mm: float
+    normal_consistency: float
+    f_score: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """x to scale * rotation @ x + translation, world units, never mirrored.
+
+    Attributes:
+        rotation: (3, 3).
+        translation: (3,).
+        scale: 1 for a rigid fit.
+    """
+
+    rotation: np.ndarray
+    translation: np.ndarray
+    scale: float = 1.0
+
+    @property
+    def angle(self) -> float:
+        """Of the rotation, radians."""
+        return float(np.arccos(np.clip(0.5 * (np.trace(self.rotation) - 1.0), -1.0, 1.0)))
+
+    def apply(self, points: np.ndarray) -> np.ndarray:
+        """Points (N, 3) moved."""
+        return self.scale * points @ self.rotation.T + self.translation
+
+
+def surface_samples(views: Sequence[DepthView], count: int, seed: int = 0) -> SurfaceSamples:
+    """At most `count` random points of what views show, one pixel inside their silhouettes.
+
+    Args:
+        views: With depth and normals.
+        count: Most points to keep.
+        seed: Of the choice.
+    """
+    points, normals = [], []
+    for view in views:
+        seen = ndimage.binary_erosion(np.isfinite(view.depth))
+        if view.normals is None:
+            raise ValueError("surface samples need views with normals")
+        seen &= np.isfinite(view.normals).all(axis=-1)
+        rays_o, rays_d = view.camera.rays()
+        points.append(rays_o[seen] + view.depth[seen][:, None] * rays_d[seen])
+        normals.append(view.normals[seen].astype(np.float64))
+    stacked, directions = np.concatenate(points), np.concatenate(normals)
+    if len(stacked) > count:
+        chosen = np.random.default_rng(seed).choice(len(stacked), count, replace=False)
+        stacked, directions = stacked[chosen], directions[chosen]
+    return SurfaceSamples(stacked, directions)
+
+
+def surface_agreement(field: SurfaceSamples, reference: SurfaceSamples, metres_per_unit: float) -> SurfaceAgreement:
+    """Distances both ways between surfaces of at least one sample each.
+
+    The distance of a point is that to the tangent plane of the nearest sample within three sample
+    spacings, and to the sample beyond.
+    """
+    there, cosine_there = _distances(field.points, field.normals, reference)
+    back, cosine_back = _distances(reference.points, reference.normals, field)
+    there, back = 1000.0 * metres_per_unit * there, 1000.0 * metres_per_unit * back
+    scores = {}
+    for limit in F_LIMITS_MM:
+        precision, recall = float((there <= limit).mean()), float((back <= limit).mean())
+        both = precision + recall
+        scores[f"{limit:g}"] = 2.0 * precision * recall / both if both > 0 else 0.0
+    accuracy, completeness = float(there.mean()), float(back.mean())
+    return SurfaceAgreement(
+        accuracy, completeness, 0.5 * (accuracy + completeness), float(0.5 * (cosine_there + cosine_back)), scores
+    )
+
+
+def _distances(points: np.ndarray, normals: np.ndarray, surface: SurfaceSamples) -> tuple[np.ndarray, float]:
+    tree = KDTree(surface.points)
+    gap, nearest = tree.query(points)
+    spacing = float(np.median(tree.query(surface.points[:: max(1, len(surface.points) // 500)], k=2)[0][:, 1]))
+    planes = np.abs(((points - surface.points[nearest]) * surface.normals[nearest]).sum(-1))
+    cosine = float((normals * surface.normals[nearest]).sum(-1).mean())
+    return np.where(gap <= 3.0 * spacing + planes, np.minimum(planes, gap), gap), cosine
+
+
+def align(
+    moving: SurfaceSamples, fixed: SurfaceSamples, *, scale: bool = False, iterations: int = 25, count: int = 4000
+) -> Alignment:
+    """The rigid motion, or similarity, that best lays one surface on another.
+
+    Point-to-plane ICP (Chen and Medioni 1992) from the identity; pairs farther apart than three
+    times the median are left out.
+
+    Args:
+        moving: What is moved.
+        fixed: What it is laid on.
+        scale: Also find a scale.
+        iterations: At most.
+        count: Moving points used.
+    """
+    points = moving.points[:: max(1, len(moving.points) // count)]
+    tree = KDTree(fixed.points)
+    found = Alignment(np.eye(3), np.zeros(3))
+    for _ in range(iterations):
+        here = found.apply(points)
+        gap, nearest = tree.query(here)
+        kept = gap <= 3.0 * np.median(gap) + 1e-9
+        here, target, normal = here[kept], fixed.points[nearest[kept]], fixed.normals[nearest[kept]]
+        columns = [np.cross(here, normal), normal]
+        if scale:
+            columns.append((here * normal).sum(-1, keepdims=True))
+        step, *_ = np.linalg.lstsq(np.concatenate(columns, axis=1), ((target - here) * normal).sum(-1), rcond=None)
+        turn = _rotation(step[:3])
+        grow = 1.0 + float(step[6]) if scale else 1.0
+        found = Alignment(turn @ found.rotation, grow * turn @ found.translation + step[3:6], grow * found.scale)
+        if np.abs(step).max() < 1e-7:
+            break
+    return found
+
+
+def _rotation(vector: np.ndarray) -> np.ndarray:
+    """(3, 3) rotation about a vector (3,) by its length in radians."""
+    angle = float(np.linalg.norm(vector))
+    if angle < 1e-15:
+        return np.eye(3)
+    x, y, z = vector / angle
+    k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * k @ k
+
+
+def sphere_centre(points: np.ndarray, radius: float, iterations: int = 30) -> np.ndarray:
+    """(3,) centre of the sphere of a known radius through points (N, 3) of its front, least squares.
+
+    Args:
+        points: At least three, world units.
+        radius: World units.
+        iterations: Gauss-Newton steps.
+    """
+    middle = points.mean(axis=0)
+    centre = middle - np.array([0.0, 0.0, radius])
+    for _ in range(iterations):
+        offsets = points - centre
+        length = np.linalg.norm(offsets, axis=1, keepdims=True)
+        step, *_ = np.linalg.lstsq(-offsets / length, radius - length[:, 0], rcond=None)
+        centre = centre + step
+        if np.abs(step).max() < 1e-9:
+            break
+    return centre
