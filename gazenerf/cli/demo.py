@@ -134,7 +134,7 @@ def stages(out: Path, source: list[str], quick: bool) -> list[Stage]:
             ["mesh", *source, "--out", str(meshes), "--resolution", resolution, "--overwrite"],
             lambda: _mesh_numbers(meshes),
         ),
-        Stage(["check", *source, "--out", str(check), "--views", views], lambda: _check_numbers(check)),
+        Stage(["check", *source, "--out", str(check), "--views", views, "--overwrite"], lambda: _check_numbers(check)),
     ]
 
 
@@ -215,7 +215,15 @@ def _mesh_line(about: dict[str, Any]) -> str:
 
 
 def _check_numbers(folder: Path) -> dict[str, str]:
-    return {"report": str(_read(folder / "report.json"))}
+    report = _read(folder / "report.json")
+    rows = {metric["label"]: _metric_line(metric) for metric in report["metrics"]}
+    return rows | {f"{name} could not start": fix for name, fix in report["missing_renderers"].items()}
+
+
+def _metric_line(metric: dict[str, Any]) -> str:
+    if metric["value"] is None:
+        return metric["verdict"]
+    return f"{metric['value']:.3g} {metric['unit']}".strip() + f" ({metric['verdict']})"
 
 
 def _read(path: Path) -> dict[str, Any]:

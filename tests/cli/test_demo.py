@@ -45,7 +45,10 @@ def mesh(args):
 
 
 def check(args):
-    write(args.out / "report.json", {})
+    depth = {"label": "depth error, median", "unit": "mm", "value": 1.234, "verdict": "pass"}
+    overlap = {"label": "overlap", "unit": "", "value": None, "verdict": "unmeasured"}
+    missing = {"pyrender": "apt-get install libegl1"}
+    write(args.out / "report.json", {"metrics": [depth, overlap], "missing_renderers": missing})
     return 0
 
 
@@ -63,7 +66,6 @@ def commands(monkeypatch):
         return SimpleNamespace(configure=module.configure, run=runs[name]) if name in runs else module
 
     monkeypatch.setattr(frame, "load_command", load)
-    monkeypatch.setattr(demo, "_check_numbers", lambda folder: {"depth": "1.2 mm median"})
     return runs
 
 
@@ -78,10 +80,12 @@ def test_files_and_numbers_are_in_the_closing_table(commands, tmp_path, capsys):
     assert main(["demo", "--out", str(tmp_path), "--quick"]) == 0
     shown = capsys.readouterr().out
     assert "the command's own table" not in shown
-    for text in ("gazenerf orbit", "orbit.mp4", "24 frames of 256x256", "meshes/face.json", "1.2 mm median"):
+    for text in ("gazenerf orbit", "orbit.mp4", "24 frames of 256x256", "meshes/face.json", "1.23 mm (pass)"):
         assert text in shown
     record = json.loads((tmp_path / demo.RECORD).read_text())
     assert list(record["stages"]) == ["orbit", "sheet", "mesh", "check"]
+    measured = record["stages"]["check"]["measured"]
+    assert measured["overlap"] == "unmeasured" and measured["pyrender could not start"] == "apt-get install libegl1"
     assert record["stages"]["mesh"]["measured"]["face"].startswith("1,000 vertices, 2,000 faces, watertight")
     assert all(stage["exit_code"] == 0 for stage in record["stages"].values())
 
