@@ -55,7 +55,7 @@ class NeuralRenderer(nn.Module):
         self.upsample = nn.ModuleList(Upsample(width) for width in widths[:-1])
         self.narrow = nn.ModuleList(nn.Conv2d(a, b, 1) for a, b in pairwise(widths))
         self.to_rgb = nn.ModuleList(nn.Conv2d(width, 3, 1) for width in widths)
-        if config.initialisation == "he":
+        if config.initialisation == "he" and not self.to_rgb[0].weight.is_meta:
             for module in self.modules():
                 if isinstance(module, nn.Conv2d):
                     nn.init.kaiming_normal_(module.weight, a=SLOPE)

@@ -60,7 +60,7 @@ class Stream(nn.Module):
         self.feature_0 = nn.Linear(width, width)
         self.feature_1 = nn.Linear(width + appearance, width // 2)
         self.feature_2 = nn.Linear(width // 2, config.feature_channels)
-        if config.initialisation == "he":
+        if config.initialisation == "he" and not self.density.weight.is_meta:
             for module in self.modules():
                 if isinstance(module, nn.Linear):
                     nn.init.kaiming_normal_(module.weight, nonlinearity="relu")

@@ -51,13 +51,13 @@ class BallStream(Stream):
 
     def __init__(self, config: FieldConfig, centre: tuple[float, float, float], radius: float) -> None:
         super().__init__(config)
-        self.centre, self.radius = torch.tensor(centre), radius
+        self.centre, self.radius, self.softness = torch.tensor(centre), radius, 0.002
 
     def query(
         self, points: torch.Tensor, condition: StreamCondition, features: bool = True
     ) -> tuple[torch.Tensor, torch.Tensor]:
         inside = self.radius - (points - self.centre).norm(dim=-1)
-        density = 200.0 * torch.sigmoid(inside / 0.002)
+        density = 200.0 * torch.sigmoid(inside / self.softness)
         return density, torch.ones(*points.shape[:-1], self.config.hidden // 2) if features else torch.empty(0)
 
 

@@ -15,7 +15,7 @@ from gazenerf.field.model import TwoStreamField
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.subjects import Codes
 
-from .conftest import EYE_CENTRE, EYE_RADIUS, FACE_RADIUS, make_field, make_subject, tiny_config
+from .conftest import EYE_CENTRE, EYE_RADIUS, FACE_RADIUS, BallStream, make_field, make_subject, tiny_config
 
 GAZE = Gaze.from_degrees(10, -15)
 
@@ -50,7 +50,7 @@ def test_fast_path_equals_the_published_path(changes: dict[str, Any]) -> None:
         if name in slow:
             opacity = 1.0 - slow[name].reshape(fast.geometry[part].opacity.shape).numpy()
             assert np.abs(fast.geometry[part].opacity - opacity).max() < 1e-4, part
-            assert 0.02 < opacity.mean() and opacity.std() > 0
+            assert opacity.mean() > 0.02 and opacity.std() > 0
 
 
 def test_is_a_bound_field() -> None:
@@ -114,7 +114,8 @@ def test_known_geometry_from_every_side(balls: TwoStreamField, yaw: float, sampl
     camera = Camera.orbit(yaw=yaw, size=24)
     face = ball_distance(camera, (0.0, 0.0, 0.0), FACE_RADIUS)
     eyes = ball_distance(camera, EYE_CENTRE, EYE_RADIUS)
-    for part, expected in (("face", face), ("eyes", eyes), ("head", np.fmin(face, eyes))):
+    known: dict[Part, np.ndarray] = {"face": face, "eyes": eyes, "head": np.fmin(face, eyes)}
+    for part, expected in known.items():
         check_geometry(bound.render_geometry(camera, part), expected)
 
 
@@ -127,6 +128,9 @@ def check_geometry(view: GeometryView, expected: np.ndarray) -> None:
 
 
 def test_normals_point_outward(balls: TwoStreamField) -> None:
+    face = balls.stream("face")
+    assert isinstance(face, BallStream)
+    face.softness = 0.02  # wider than the differences that normals are taken over
     bound = balls.bind(make_subject(balls.config), Gaze())
     camera = Camera.orbit(yaw=-0.8, size=24)
     view = bound.render_geometry(camera, "face", normals=True)
@@ -159,7 +163,7 @@ def test_occupancy_is_found_once_a_subject(balls: TwoStreamField) -> None:
     known = next(iter(balls.occupancies.values()))
     balls.bind(subject, GAZE).render(camera)
     assert len(balls.occupancies) == 1 and next(iter(balls.occupancies.values())) is known
-    for seed in range(2, 12):
+    for seed in range(2, 7):
         balls.bind(make_subject(balls.config, seed), Gaze()).render(camera)
     assert len(balls.occupancies) <= 4
 
