@@ -44,18 +44,34 @@ def write_mesh(extracted: PartMesh, bound: BoundField, folder: Path, formats: tu
             mesh.export(path, file_type="ply", vertex_normal=True)
         else:
             mesh.export(path, file_type="obj", include_normals=True, include_color=True)
-    (folder / f"{name}.json").write_text(json.dumps(sidecar(extracted, bound), indent=2) + "\n")
+    write_sidecar(folder / f"{name}.json", sidecar(extracted, bound))
+
+
+def write_sidecar(path: Path, facts: dict[str, Any]) -> None:
+    """Write facts as JSON."""
+    path.write_text(json.dumps(facts, indent=2, allow_nan=False) + "\n")
+
+
+def common_facts(bound: BoundField) -> dict[str, Any]:
+    """What every file of a bound field says: units, frame, subject, gaze, weights, versions."""
+    libraries = {name: _version(name) for name in ("trimesh", "pyvista", "numpy", "torch")}
+    return {
+        "units": "metres",
+        "frame": "right-handed, Y up, face toward +Z, +X toward the subject's left",
+        "metres_per_world_unit": bound.metres_per_unit,
+        "subject": bound.subject.name,
+        "gaze_pitch_yaw_degrees": list(bound.gaze.degrees),
+        "weights_sha256_16": bound.weights_hash,
+        "versions": {"gazenerf": __version__, **libraries},
+    }
 
 
 def sidecar(extracted: PartMesh, bound: BoundField) -> dict[str, Any]:
     """What a mesh file is: frame, units, threshold, resolution, subject, gaze, weights, versions."""
     mesh, threshold = extracted.mesh, extracted.threshold
     metres = bound.metres_per_unit
-    return {
+    return common_facts(bound) | {
         "part": extracted.part,
-        "units": "metres",
-        "frame": "right-handed, Y up, face toward +Z, +X toward the subject's left",
-        "metres_per_world_unit": metres,
         "threshold_per_world_unit": threshold.level,
         "threshold_choice": threshold.how,
         "depth_disagreement_mm": None if np.isnan(threshold.depth_error_mm) else threshold.depth_error_mm,
@@ -68,10 +84,6 @@ def sidecar(extracted: PartMesh, bound: BoundField) -> dict[str, Any]:
         "faces": len(mesh.faces),
         "watertight": bool(mesh.is_watertight),
         "bounds_metres": (np.asarray(mesh.bounds) * metres).tolist(),
-        "subject": bound.subject.name,
-        "gaze_pitch_yaw_degrees": list(bound.gaze.degrees),
-        "weights_sha256_16": bound.weights_hash,
-        "versions": {"gazenerf": __version__, **{name: _version(name) for name in ("trimesh", "pyvista", "numpy")}},
     }
 
 

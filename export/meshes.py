@@ -10,17 +10,19 @@ import numpy as np
 import torch
 import trimesh
 
-from export.colours import bake_vertex_colours
 from export.cleaning import Cleaning, keep_largest
+from export.colours import bake_vertex_colours
 from export.densities import DensityGrid, fill_enclosed, grid_shape
-from export.files import FORMATS, write_mesh
+from export.files import FORMATS, common_facts, write_mesh, write_sidecar
 from export.isosurface import isosurface
 from export.normals import density_normals
 from export.refine import refine_density
+from export.rig import rig
 from export.threshold import CANDIDATES, Threshold, choose_threshold
 from gazenerf.errors import UserError
 from gazenerf.field.interface import BoundField, Part
 from gazenerf.files import whole_folder
+from gazenerf.geometry import Gaze
 
 KEPT_COMPONENTS = {"face": 1, "eyes": 2, "head": 3}
 JUDGING_RESOLUTION = 96
@@ -174,12 +176,25 @@ def mesh_subject(
     threshold: str | float = "auto",
     formats: tuple[str, ...] = ("glb", "ply", "obj"),
     colours: bool = True,
+    method: str = "flying-edges",
+    smoothing: int = 0,
+    max_faces: int | None = None,
+    bind: Callable[[Gaze], BoundField] | None = None,
     overwrite: bool = False,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> dict[str, PartMesh]:
     """Extract parts and write them to a folder: `PART.FORMAT` and one `PART.json` each.
 
     Files are in metres, Y up, face toward +Z. Nothing is written unless everything succeeds.
+
+    Args:
+        bound: What is meshed.
+        out: Folder.
+        parts: Some of face, eyes, head.
+        formats: Some of glb, ply, obj.
+        bind: Binds the same subject to other gazes; given, `rig.glb` with turning eyes is written too.
+        overwrite: Replace files of these names.
+        resolution, threshold, colours, method, smoothing, max_faces, progress: See `extract_part`.
 
     Returns:
         Part to its mesh, in world units.
@@ -192,16 +207,34 @@ def mesh_subject(
     if not parts or not formats:
         raise UserError("give at least one part and one format")
     out = Path(out)
-    taken = [
-        out / f"{part}.{kind}" for part in parts for kind in (*formats, "json") if (out / f"{part}.{kind}").exists()
-    ]
+    if bind is not None and not {"face", "eyes"} <= set(parts):
+        raise UserError("the rig needs --parts face eyes")
+    names = [f"{part}.{kind}" for part in parts for kind in (*formats, "json")]
+    names += ["rig.glb", "rig.json"] if bind is not None else []
+    taken = [out / name for name in names if (out / name).exists()]
     if taken and not overwrite:
         raise UserError(f"{taken[0]} exists; add --overwrite or choose another --out")
     meshes = {
-        part: extract_part(bound, part, resolution=resolution, threshold=threshold, colours=colours, progress=progress)
+        part: extract_part(
+            bound,
+            part,
+            resolution=resolution,
+            threshold=threshold,
+            method=method,
+            smoothing=smoothing,
+            max_faces=max_faces,
+            colours=colours,
+            progress=progress,
+        )
         for part in parts
     }
+    if progress is not None and bind is not None:
+        progress("rig", 0, 1)
+    rigged = None if bind is None else rig(bind, bound.gaze, meshes["face"].mesh, meshes["eyes"].mesh)
     with whole_folder(out) as folder:
         for extracted in meshes.values():
             write_mesh(extracted, bound, folder, formats)
+        if rigged is not None:
+            (folder / "rig.glb").write_bytes(rigged[0])
+            write_sidecar(folder / "rig.json", common_facts(bound) | {"part": "rig"} | rigged[1])
     return dict(meshes)

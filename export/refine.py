@@ -108,7 +108,7 @@ class _FrontOfCells:
         """(k, f+1, f+1, f+1) flat indices of the fine points of cells (k, 3), their far faces included."""
         place = self.factor * cells[:, None, None, None] + self._offsets
         place = np.minimum(place, np.array(self.values.shape) - 1)
-        return np.ravel_multi_index(tuple(np.moveaxis(place, -1, 0)), self.values.shape)
+        return np.asarray(np.ravel_multi_index(tuple(np.moveaxis(place, -1, 0)), self.values.shape))
 
     def neighbours(self, cells: np.ndarray, places: np.ndarray) -> np.ndarray:
         """(m, 3) cells not yet wanted that share a face with a crossing; marks them wanted."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -25,4 +26,17 @@ def mesh_rows(meshes: Mapping[str, PartMesh], out: Path, formats: Sequence[str])
         kind = "watertight" if mesh.is_watertight else "open"
         rows[f"{part} mesh"] = f"{len(mesh.vertices):,} vertices, {len(mesh.faces):,} faces, {kind}"
         rows[f"{part} queries"] = f"{extracted.queries:,} of {int(np.prod(extracted.grid)):,} grid points"
+    return rows
+
+
+def rig_rows(sidecar: Path) -> dict[str, object]:
+    """Rows on the fitted eyeballs, from a rig's sidecar."""
+    facts = json.loads(sidecar.read_text())
+    rows: dict[str, object] = {}
+    for side in ("eye_left", "eye_right"):
+        eye = facts[side]
+        text = f"radius {eye['radius_mm']:.2f} mm, fit {eye['fit_residual_mm']:.2f} mm RMS"
+        if "centre_distance_mm" in eye:
+            text += f", centre {eye['centre_distance_mm']:.2f} mm from the head model's"
+        rows[side.replace("_", " ")] = text
     return rows

@@ -18,7 +18,7 @@ VIEWS = ((0.0, 0.0), (40.0, 5.0), (-40.0, -5.0))
 """Yaw and pitch, degrees, of the views that judge a threshold."""
 
 CANDIDATES = (3.0, 6.0, 12.0, 24.0, 48.0, 96.0)
-"""Densities per world unit that `auto` tries where the volume reaches them, then between the best and its neighbours."""
+"""Densities per world unit that `auto` tries where the volume reaches them; then two beside the best."""
 
 
 @dataclass(frozen=True)

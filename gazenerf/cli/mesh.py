@@ -23,6 +23,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--threshold", default="auto", metavar="auto|X", help="density of the surface: auto, a number, or p50"
     )
     parser.add_argument("--formats", nargs="+", default=["glb", "ply", "obj"], metavar="F", help="glb, ply, obj")
+    parser.add_argument("--rig", action="store_true", help="also write rig.glb, one file whose eyes turn")
+    parser.add_argument(
+        "--method", choices=("flying-edges", "lewiner"), default="flying-edges", help="how the surface is extracted"
+    )
+    parser.add_argument("--smooth", type=int, default=0, metavar="N", help="rounds of smoothing that keeps the volume")
+    parser.add_argument("--max-faces", type=int, metavar="N", help="decimate each part to at most N triangles")
     parser.add_argument("--no-colours", action="store_true", help="leave the meshes grey")
     parser.add_argument("--overwrite", action="store_true", help="replace meshes at --out")
 
@@ -30,7 +36,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Extract, write, report."""
     from export import mesh_subject
-    from export.report import mesh_rows
+    from export.report import mesh_rows, rig_rows
     from gazenerf.cli.common import checked_gaze, load_bound_factory, progress, summary_table
 
     gaze = checked_gaze(args.gaze)
@@ -44,8 +50,15 @@ def run(args: argparse.Namespace) -> int:
             threshold=args.threshold,
             formats=tuple(args.formats),
             colours=not args.no_colours,
+            method=args.method,
+            smoothing=args.smooth,
+            max_faces=args.max_faces,
+            bind=bind if args.rig else None,
             overwrite=args.overwrite,
             progress=lambda stage, done, total: advance(0, f"{stage} {done / total:.0%}"),
         )
-    summary_table("meshes", mesh_rows(meshes, args.out, args.formats))
+    rows = mesh_rows(meshes, args.out, args.formats)
+    if args.rig:
+        rows |= {"rig glb": args.out / "rig.glb", "rig json": args.out / "rig.json", **rig_rows(args.out / "rig.json")}
+    summary_table("meshes", rows)
     return 0
