@@ -101,7 +101,9 @@ def _load(path: Path) -> TwoStreamField:
             check_shapes(found, config)
             weights = {name: file.get_tensor(name).float() for name in found}
     except (SafetensorError, OSError, KeyError, ValueError, TypeError, RecursionError) as error:
-        raise UserError(f"cannot read the checkpoint {path}: {error}") from error
+        raise UserError(
+            f"cannot read the checkpoint {path}: {error}; give a .safetensors file that gazenerf wrote"
+        ) from error
     field = field_from_weights(weights, config, str(path))
     field.about = about
     field.weights_hash = weights_hash(path)

@@ -1,6 +1,6 @@
 """Write the bundled subjects: the people of a synthetic set, at rest, as the field was trained on them.
 
-    python scripts/make_subjects.py --data captures --trained 0 1 2 3 4 5 --held-out 12 13
+python scripts/make_subjects.py --data captures --trained 0 1 2 3 4 5 --held-out 12 13
 """
 
 from __future__ import annotations

@@ -30,7 +30,11 @@ class FieldConfig:
             composited as one medium, so that lids occlude the eyes).
         background: Initial background feature, `ones` (white) or `zeros` (black).
         ray_offset: Ray i passes through feature coordinate i + this: 0.5 native, 0 published.
+        input_gains: Factors on the identity, expression, texture and illumination codes and on the gaze
+            label as they enter a stream; ones as published. Adam moves every weight alike, so an input
+            that is ten times larger than the others is learned ten times faster than they are.
         gaze_label_signs: What the streams' label is, as signs of (pitch up, yaw left).
+        density_activation: `relu` as published, or `softplus`, which a stream cannot leave for good.
         initialisation: `he` or `default` (the framework's).
         metres_per_unit: Size of a world unit.
         sampler: How pictures are sampled: `slabs` (published) or `guided` (found surface, then a shell).
@@ -58,7 +62,9 @@ class FieldConfig:
     merge: str = "max"
     background: str = "ones"
     ray_offset: float = 0.5
+    input_gains: tuple[float, float, float, float, float] = (1.0, 1.0, 1.0, 1.0, 1.0)
     gaze_label_signs: tuple[float, float] = (1.0, 1.0)
+    density_activation: str = "relu"
     initialisation: str = "he"
     metres_per_unit: float = 0.1
     sampler: str = "slabs"
@@ -88,6 +94,7 @@ class FieldConfig:
         for name, choices in _CHOICES.items():
             need(getattr(self, name) in choices, f"{name} must be one of {', '.join(choices)}")
         need(self.eye_motion == "none" or self.feature_channels % 3 == 0, "rotated features come in groups of 3")
+        need(len(self.input_gains) == 5 and all(gain > 0 for gain in self.input_gains), "input_gains are five above 0")
         need(len(self.gaze_label_signs) == 2 and all(abs(s) == 1 for s in self.gaze_label_signs), "signs are +-1")
 
     @property
@@ -142,6 +149,7 @@ _CHOICES: dict[str, tuple[str, ...]] = {
     "eye_motion": ("feature_rotation", "none"),
     "merge": ("max", "joint"),
     "background": ("ones", "zeros"),
+    "density_activation": ("relu", "softplus"),
     "initialisation": ("he", "default"),
     "sampler": ("slabs", "guided"),
 }
@@ -159,6 +167,10 @@ PRESETS: dict[str, FieldConfig] = {
         merge="joint",
         background="zeros",
         sampler="guided",
+        shell=0.2,
+        shell_samples=10,
+        density_activation="softplus",
+        input_gains=(0.1, 1.0, 0.3, 0.3, 1.0),
     ),
     "tiny": FieldConfig(
         image_size=32,
@@ -170,6 +182,8 @@ PRESETS: dict[str, FieldConfig] = {
         merge="joint",
         background="zeros",
         sampler="guided",
+        density_activation="softplus",
+        input_gains=(0.1, 1.0, 0.3, 0.3, 1.0),
     ),
     "headnerf": dataclasses.replace(
         PAPER, feature_channels=256, streams="one", gaze_input=False, eye_motion="none", background="zeros"

@@ -20,7 +20,10 @@ INITIAL_DENSITY = 5.0
 """Density bias of a fresh stream, per world unit: a ReLU that starts at zero may never leave it."""
 
 DENSITY_LEAK = 0.05
-"""In training the density's ReLU passes this share of the gradient below zero; its value is unchanged."""
+"""In training the published density's ReLU passes this share of the gradient below zero; its value is unchanged."""
+
+SOFTPLUS_GAIN = 10.0
+"""Density per world unit of a softplus stream is this times softplus: a surface needs tens, a layer gives ones."""
 
 
 @dataclass(frozen=True)
@@ -65,10 +68,29 @@ class Stream(nn.Module):
                 if isinstance(module, nn.Linear):
                     nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
                     nn.init.zeros_(module.bias)
-            nn.init.constant_(self.density.bias, INITIAL_DENSITY)
+            nn.init.constant_(self.density.bias, INITIAL_DENSITY if config.density_activation == "relu" else 0.0)
 
     def _codes(self, shape_code: torch.Tensor, gaze_label: torch.Tensor) -> torch.Tensor:
-        return torch.cat([shape_code, gaze_label], dim=-1) if self.config.gaze_input else shape_code
+        identity, expression, _, _, gaze = self.config.input_gains
+        codes = [
+            identity * shape_code[..., : self.config.identity],
+            expression * shape_code[..., self.config.identity :],
+        ]
+        return torch.cat([*codes, gaze * gaze_label] if self.config.gaze_input else codes, dim=-1)
+
+    def _appearance(self, appearance_code: torch.Tensor) -> torch.Tensor:
+        _, _, texture, illumination, _ = self.config.input_gains
+        split = self.config.texture
+        return torch.cat([texture * appearance_code[..., :split], illumination * appearance_code[..., split:]], dim=-1)
+
+    def _density(self, raw: torch.Tensor) -> torch.Tensor:
+        if self.config.density_activation == "softplus":
+            return SOFTPLUS_GAIN * F.softplus(raw)
+        density = F.relu(raw)
+        if self.training:
+            below = raw.clamp(max=0.0)
+            density = density + DENSITY_LEAK * (below - below.detach())
+        return density
 
     def forward(
         self,
@@ -100,8 +122,8 @@ class Stream(nn.Module):
             if i == self.config.skip_after:
                 hidden = torch.cat([inputs, hidden], dim=-1)
             hidden = F.relu(layer(hidden))
-        density = F.relu(self.density(hidden)).squeeze(-1)
-        feature = torch.cat([self.feature_0(hidden), spread(appearance_code)], dim=-1)
+        density = self._density(self.density(hidden)).squeeze(-1)
+        feature = torch.cat([self.feature_0(hidden), spread(self._appearance(appearance_code))], dim=-1)
         return density, self.feature_2(F.relu(self.feature_1(feature)))
 
     def condition(
@@ -119,7 +141,9 @@ class Stream(nn.Module):
                 first=F.linear(codes, first.weight[:, encoded:], first.bias),
                 skip=F.linear(codes, skip.weight[:, encoded:inputs], skip.bias),
                 feature_weight=mix @ self.feature_0.weight,
-                feature_bias=F.linear(appearance_code, self.feature_1.weight[:, width:], self.feature_1.bias)
+                feature_bias=F.linear(
+                    self._appearance(appearance_code), self.feature_1.weight[:, width:], self.feature_1.bias
+                )
                 + F.linear(self.feature_0.bias, mix),
             )
 
@@ -151,21 +175,21 @@ class Stream(nn.Module):
                 hidden = F.linear(torch.cat([encoded, hidden], dim=-1), weight) + _like(condition.skip, encoded)
             else:
                 hidden = layer(hidden)
-            hidden = F.relu(hidden, inplace=True)
-        raw = self.density(hidden).float()
-        density = F.relu(raw)
-        if self.training:
-            below = raw.clamp(max=0.0)
-            density = density + DENSITY_LEAK * (below - below.detach())
-        density = density.reshape(batch, *rest)
+            hidden = _relu(hidden)
+        density = self._density(self.density(hidden).float()).reshape(batch, *rest)
         if not features:
             return density, hidden.new_empty(0)
         feature = F.linear(hidden, condition.feature_weight) + _like(condition.feature_bias, encoded)
-        return density, F.relu(feature, inplace=True).reshape(batch, *rest, -1)
+        return density, _relu(feature).reshape(batch, *rest, -1)
 
     def project(self, composited: torch.Tensor, opacity: torch.Tensor) -> torch.Tensor:
         """The last linear layer after compositing: (B, R, H/2) and opacity (B, R) to (B, R, C)."""
         return F.linear(composited, self.feature_2.weight) + opacity[..., None] * self.feature_2.bias
+
+
+def _relu(hidden: torch.Tensor) -> torch.Tensor:
+    """In place only without gradients: on the view that a linear layer returns, autograd would copy it twice."""
+    return F.relu(hidden, inplace=not torch.is_grad_enabled())
 
 
 def _like(bias: torch.Tensor, reference: torch.Tensor) -> torch.Tensor:

@@ -6,6 +6,8 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
+from gazenerf.training.optimizers import OPTIMIZERS
+
 
 @dataclass(frozen=True)
 class TrainConfig:
@@ -16,6 +18,8 @@ class TrainConfig:
         field_overrides: Fields of `FieldConfig` that differ from the preset.
         steps: Optimiser steps.
         batch: Pictures a step.
+        optimizer: `adam` as in the paper, or `muon` for the hidden layers (see `optimizers`).
+        muon_learning_rate: Muon's learning rate over Adam's.
         learning_rate: Peak learning rate of Adam (paper Sec. 4.2: 1e-4, constant).
         final_learning_rate: Where the cosine ends; equal to `learning_rate` keeps it constant.
         density_learning_rate: How much faster the density layers learn.
@@ -46,12 +50,14 @@ class TrainConfig:
     field_overrides: dict[str, Any] = dataclasses.field(default_factory=dict)
     steps: int = 6000
     batch: int = 2
+    optimizer: str = "muon"
+    muon_learning_rate: float = 1.5
     learning_rate: float = 1e-3
     final_learning_rate: float = 3e-5
     density_learning_rate: float = 3.0
     warmup: int = 50
-    shell: float | None = 0.25
-    shell_samples: int = 10
+    shell: float | None = 0.2
+    shell_samples: int = 8
     shell_noise: float = 0.02
     reconstruction: float = 1.0
     perceptual: float = 0.0
@@ -91,6 +97,8 @@ class TrainConfig:
         if unknown := sorted(set(data) - known):
             raise ValueError(f"unknown training settings: {', '.join(unknown)}")
         values = dict(data)
+        if values.get("optimizer", "adam") not in OPTIMIZERS:
+            raise ValueError(f"optimizer must be one of {', '.join(OPTIMIZERS)}")
         if "code_weights" in values:
             values["code_weights"] = tuple(values["code_weights"])
         return cls(**values)
@@ -102,6 +110,7 @@ PRESETS: dict[str, TrainConfig] = {
     "paper": TrainConfig(
         field_preset="paper",
         steps=200_000,
+        optimizer="adam",
         learning_rate=1e-4,
         final_learning_rate=1e-4,
         density_learning_rate=1.0,

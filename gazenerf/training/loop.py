@@ -23,6 +23,7 @@ from gazenerf.training.batches import BatchMaker
 from gazenerf.training.config import TrainConfig
 from gazenerf.training.forward import render_batch
 from gazenerf.training.objective import Objective, schedule
+from gazenerf.training.optimizers import Optimizers
 from gazenerf.training.runtime import Runtime
 
 STATE = "state.pt"
@@ -108,17 +109,24 @@ def train(
     field_config = replace(field_config, trained_gaze_range=trained_range(captures))
     model = (initial if initial is not None else TwoStreamField(field_config)).requires_grad_(True)
     objective = Objective(model, config, len(captures), features, estimate_gaze)
-    optimizer = torch.optim.Adam(parameter_groups(objective, config.density_learning_rate), lr=config.learning_rate)
+    optimizer = Optimizers(
+        dict(objective.named_parameters()),
+        config.optimizer,
+        config.learning_rate,
+        config.density_learning_rate,
+        config.muon_learning_rate,
+    )
     step, spent, average = 0, 0.0, None
     if resume:
         state = _read_state(out / STATE)
         objective.load_state_dict(state["objective"])
-        optimizer.load_state_dict(state["optimizer"])
-        for group, scale in zip(optimizer.param_groups, (1.0, config.density_learning_rate), strict=True):
-            group["scale"] = scale
+        try:
+            optimizer.load_state_dict(state["optimizer"])
+        except ValueError as error:
+            raise UserError(f"cannot resume from {out / STATE}: {error}") from error
         step, spent, average = int(state["step"]), float(state["seconds"]), state["average"]
         _forget_after(out / LOG, step)
-    wrapped, optimizer = runtime.setup(objective, optimizer)
+    wrapped = runtime.setup(objective, optimizer)
     if config.ema and average is None:
         average = {name: value.detach().float().clone() for name, value in model.state_dict().items()}
     maker = BatchMaker(captures, field_config.feature_size, field_config.ray_offset, config.shell is None, eyeballs)
@@ -154,13 +162,12 @@ def train(
         mine = indices[runtime.rank * config.batch : (runtime.rank + 1) * config.batch]
         rng = np.random.default_rng((config.seed, step, runtime.rank))
         batch = maker.batch(mine, rng).to(runtime.device)
-        for group in optimizer.param_groups:
-            group["lr"] = group["scale"] * schedule(config, step)
+        optimizer.set_rate(schedule(config, step))
         with runtime.autocast():
             loss, parts = wrapped(batch, step, epoch)
         if not torch.isfinite(loss):
             raise UserError(f"the loss is not finite at step {step}; lower the learning rate and --resume")
-        optimizer.zero_grad(set_to_none=True)
+        optimizer.zero_grad()
         runtime.backward(loss)
         torch.nn.utils.clip_grad_norm_(objective.parameters(), config.gradient_clip)
         optimizer.step()
@@ -188,20 +195,6 @@ def train(
     save()
     model.load_state_dict(averaged())
     return model.eval()
-
-
-def parameter_groups(objective: Objective, density_scale: float) -> list[dict[str, Any]]:
-    """Parameters for Adam: the density layers learn `density_scale` times faster than the rest.
-
-    A surface needs densities near a hundred per unit, features and colours only values near one.
-    """
-    names = dict(objective.named_parameters())
-    density = [name for name in names if name.endswith(("density.weight", "density.bias"))]
-    rest = [value for name, value in names.items() if name not in density]
-    return [
-        {"params": rest, "scale": 1.0},
-        {"params": [names[name] for name in density], "scale": density_scale},
-    ]
 
 
 def _draw(pictures: int, per_step: int, step: int, seed: int) -> tuple[int, list[int]]:

@@ -10,6 +10,7 @@ import torch
 from torch import nn
 
 from gazenerf.errors import UserError
+from gazenerf.training.optimizers import Optimizers
 
 
 def fast_bfloat16(device: torch.device) -> bool:
@@ -54,11 +55,12 @@ class Runtime:
             raise UserError(f"unknown precision {precision!r}; use auto, float32 or bfloat16")
         self.bfloat16 = precision == "bfloat16" or (precision == "auto" and fast_bfloat16(self.device))
 
-    def setup(self, objective: nn.Module, optimizer: torch.optim.Optimizer) -> tuple[nn.Module, Any]:
-        """The objective and optimiser, wrapped for this runtime."""
+    def setup(self, objective: nn.Module, optimizers: Optimizers) -> nn.Module:
+        """The objective, wrapped for this runtime; the optimisers are wrapped in place."""
         if self.fabric is None:
-            return objective.to(self.device), optimizer
-        return self.fabric.setup(objective, optimizer)
+            return objective.to(self.device)
+        wrapped, *optimizers.members = self.fabric.setup(objective, *optimizers.members)
+        return wrapped
 
     @contextlib.contextmanager
     def autocast(self) -> Iterator[None]:

@@ -46,6 +46,15 @@ def test_first_surface_is_found_to_a_fraction_of_a_step() -> None:
         assert (distance - expected)[both].abs().max() < 0.02
 
 
+def test_rays_that_lose_some_light_are_found_where_they_lose_most() -> None:
+    veil = lambda points: 4.0 * ((points[:, 2] - 0.3).abs() < 0.03).float()  # noqa: E731
+    grid = Occupancy.of(veil, BOX)
+    rays_o, rays_d = torch.tensor([[0.0, 0.0, 12.0]]), torch.tensor([[0.0, 0.0, -1.0]])
+    distance, hit = first_surface(veil, grid, rays_o, rays_d, steps=200)
+    assert bool(hit.all()) and abs(float(distance[0]) - 11.7) < 0.04
+    assert not bool(first_surface(veil, grid, rays_o, rays_d, steps=200, least=0.4)[1].any())
+
+
 def test_transparent_haze_is_no_surface() -> None:
     haze = lambda points: 0.05 * (points.norm(dim=-1) < 0.9).float()  # noqa: E731
     grid = Occupancy.of(haze, BOX, threshold=0.01)

@@ -86,7 +86,7 @@ def test_gradients_of_both_paths_agree() -> None:
 
 
 def test_dead_density_still_learns_in_training() -> None:
-    stream = Stream(tiny_config())
+    stream = Stream(tiny_config(density_activation="relu"))
     torch.nn.init.zeros_(stream.density.weight)
     torch.nn.init.constant_(stream.density.bias, -1.0)
     points, shape, look, label = inputs(stream)
@@ -95,6 +95,36 @@ def test_dead_density_still_learns_in_training() -> None:
     density.mean().backward()
     assert stream.density.bias.grad is not None
     assert stream.density.bias.grad.item() == pytest.approx(DENSITY_LEAK)
+
+
+def test_softplus_density_is_never_negative_nor_out_of_reach() -> None:
+    stream = Stream(tiny_config(density_activation="softplus"))
+    torch.nn.init.zeros_(stream.density.weight)
+    points, shape, look, label = inputs(stream)
+    for bias, expected in ((-6.0, 0.024757), (0.0, 6.9315), (8.0, 80.0034)):
+        torch.nn.init.constant_(stream.density.bias, bias)
+        stream.zero_grad()
+        density, _ = stream.query(points, stream.condition(shape, look, label), features=False)
+        assert density.flatten()[0].item() == pytest.approx(expected, rel=1e-3)
+        density.mean().backward()
+        assert stream.density.bias.grad is not None and stream.density.bias.grad.item() > 0
+
+
+def test_input_gains_scale_the_codes_in_both_paths() -> None:
+    torch.manual_seed(0)
+    plain = Stream(tiny_config(input_gains=(1.0, 1.0, 1.0, 1.0, 1.0))).eval()
+    gained = Stream(tiny_config(input_gains=(0.1, 1.0, 0.3, 0.5, 2.0))).eval()
+    gained.load_state_dict(plain.state_dict())
+    points, shape, look, label = inputs(plain)
+    config = plain.config
+    scaled_shape = torch.cat([0.1 * shape[:, : config.identity], shape[:, config.identity :]], dim=1)
+    scaled_look = torch.cat([0.3 * look[:, : config.texture], 0.5 * look[:, config.texture :]], dim=1)
+    with torch.no_grad():
+        expected = plain(points, scaled_shape, scaled_look, 2.0 * label)
+        slow = gained(points, shape, look, label)
+        density, hidden = gained.query(points, gained.condition(shape, look, label))
+    for a, b in zip((*slow, density, gained.feature_2(hidden)), (*expected, *expected), strict=True):
+        assert torch.allclose(a, b, atol=1e-4, rtol=1e-4)
 
 
 def test_bfloat16_keeps_density_and_encoding_in_float32() -> None:
