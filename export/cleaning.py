@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import trimesh
 
 from gazenerf.errors import UserError
+
+VOLUME_SHARE = 0.01
+"""Change of the enclosed volume that decimation may cause where another way causes less."""
 
 
 @dataclass(frozen=True)
@@ -69,14 +74,74 @@ def smooth(mesh: trimesh.Trimesh, rounds: int) -> trimesh.Trimesh:
 
 
 def decimate(mesh: trimesh.Trimesh, max_faces: int) -> trimesh.Trimesh:
-    """Quadric decimation (VTK, volume preserving) to at most `max_faces` faces."""
+    """Quadric decimation to at most `max_faces` faces that keeps a closed surface closed.
+
+    No library guarantees that, so the first result is taken that is closed and encloses the same
+    volume within `VOLUME_SHARE`: VTK's (regularised, then plain), then open3d's where it can be
+    loaded. Failing that, the closed result with the nearest volume, and failing that an open one,
+    with a warning. Of a surface that was open from the start, the first result is taken.
+
+    Raises:
+        UserError: the surface cannot be reduced so far.
+    """
     if len(mesh.faces) <= max_faces:
         return mesh
-    share = 1.0 - max_faces / len(mesh.faces)
-    fewer = from_pyvista(to_pyvista(mesh).decimate(share, volume_preservation=True))
-    if len(fewer.faces) > 1.1 * max_faces:
-        raise UserError(f"the surface cannot be reduced to {max_faces} faces; {len(fewer.faces)} are left")
-    return fewer
+    best, torn, change = None, None, np.inf
+    for fewer in _decimated(mesh, max_faces):
+        if len(fewer.faces) > max_faces:
+            continue
+        if not mesh.is_watertight:
+            return fewer
+        if not fewer.is_watertight:
+            torn = fewer if torn is None else torn
+            continue
+        difference = abs(float(fewer.volume) / float(mesh.volume) - 1.0)
+        if difference <= VOLUME_SHARE:
+            return fewer
+        if difference < change:
+            best, change = fewer, difference
+    if best is not None:
+        return best
+    if torn is None:
+        raise UserError(f"the surface cannot be reduced to {max_faces} faces; raise --max-faces")
+    warnings.warn(
+        f"reducing the surface to {max_faces} faces tore it; raise --max-faces to keep it closed", stacklevel=2
+    )
+    return torn
+
+
+def _decimated(mesh: trimesh.Trimesh, max_faces: int) -> Iterator[trimesh.Trimesh]:
+    """The surface decimated in one way after another, each only once it is asked for."""
+    for aim in (max_faces, 0.97 * max_faces):
+        for regularised in (True, False):
+            yield _decimated_by_vtk(mesh, aim, regularised)
+        try:
+            yield _decimated_by_open3d(mesh, int(aim))
+        except (ImportError, OSError):
+            continue
+
+
+def _decimated_by_vtk(mesh: trimesh.Trimesh, max_faces: float, regularised: bool) -> trimesh.Trimesh:
+    import pyvista as pv
+    from vtkmodules.vtkFiltersCore import vtkQuadricDecimation
+
+    decimation = vtkQuadricDecimation()
+    decimation.SetInputData(to_pyvista(mesh))
+    decimation.SetTargetReduction(1.0 - 0.99 * max_faces / len(mesh.faces))
+    decimation.SetVolumePreservation(True)
+    if regularised:
+        decimation.SetRegularize(True)
+    decimation.Update()
+    return from_pyvista(pv.wrap(decimation.GetOutput()))
+
+
+def _decimated_by_open3d(mesh: trimesh.Trimesh, max_faces: int) -> trimesh.Trimesh:
+    import open3d as o3d
+
+    vertices = o3d.utility.Vector3dVector(np.asarray(mesh.vertices, dtype=np.float64))
+    surface = o3d.geometry.TriangleMesh(vertices, o3d.utility.Vector3iVector(np.asarray(mesh.faces, dtype=np.int32)))
+    fewer = surface.simplify_quadric_decimation(max_faces)
+    return without_collapsed(trimesh.Trimesh(np.asarray(fewer.vertices), np.asarray(fewer.triangles), process=False))
 
 
 def to_pyvista(mesh: trimesh.Trimesh):
@@ -90,8 +155,16 @@ def to_pyvista(mesh: trimesh.Trimesh):
 def from_pyvista(surface) -> trimesh.Trimesh:
     """Triangles of a `pyvista.PolyData`, vertices merged."""
     faces = np.asarray(surface.faces).reshape(-1, 4)[:, 1:]
-    mesh = trimesh.Trimesh(np.asarray(surface.points, dtype=np.float64), faces, process=False)
+    return without_collapsed(trimesh.Trimesh(np.asarray(surface.points, dtype=np.float64), faces, process=False))
+
+
+def without_collapsed(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Vertices at one place merged and faces with a repeated vertex dropped, in place.
+
+    Thin faces stay: dropping one would open a hole.
+    """
     mesh.merge_vertices()
-    mesh.update_faces(mesh.nondegenerate_faces())
+    a, b, c = np.asarray(mesh.faces).T
+    mesh.update_faces((a != b) & (b != c) & (c != a))
     mesh.remove_unreferenced_vertices()
     return mesh

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
+from export.cleaning import without_collapsed
 from export.densities import DensityGrid
 from gazenerf.errors import UserError
 
@@ -45,10 +46,7 @@ def isosurface(grid: DensityGrid, level: float, method: str = "flying-edges") ->
 
         vertices, faces, _, _ = marching_cubes(padded, level, spacing=(grid.spacing,) * 3, gradient_direction="ascent")
         vertices = vertices + origin
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
-    mesh.merge_vertices()
-    mesh.update_faces(mesh.nondegenerate_faces())
-    mesh.remove_unreferenced_vertices()
+    mesh = without_collapsed(trimesh.Trimesh(vertices, faces, process=False))
     if mesh.volume < 0:
         mesh.invert()
     return mesh

@@ -17,4 +17,4 @@ from gazenerf.checkpoints import BUNDLED, load_field, save_field
 
 save_field(load_field(sys.argv[1]), BUNDLED, half=True)
 PY
-gazenerf evaluate --data "$folder/captures" --out "$folder/quality.json"
+gazenerf evaluate --data "$folder/captures" --held-out 2 --out "$folder/quality.json"

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from gazenerf.errors import UserError
 
 PACKAGES = {
     "libusb-1.0": "libusb-1.0-0",
@@ -41,3 +45,19 @@ def missing_library(error: BaseException) -> str | None:
     if package is None:
         return f"the system library {library} is missing; install the package that holds it"
     return f"the system library {library} is missing; on Debian or Ubuntu: apt-get install {package}"
+
+
+@contextmanager
+def naming_missing_libraries() -> Iterator[None]:
+    """Within the block, what a missing system library caused becomes a line that names its package.
+
+    Raises:
+        UserError: a library is missing, whether the error said so or what caused it.
+    """
+    try:
+        yield
+    except (UserError, ImportError, OSError) as error:
+        hint = missing_library(error)
+        if hint is None:
+            raise
+        raise UserError(hint) from error

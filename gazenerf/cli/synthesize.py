@@ -22,22 +22,31 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="cameras: random, or xgaze18 for 18 fixed ones around each pose (default: random)",
     )
-    parser.add_argument("--supersampling", type=int, default=2, metavar="N", help="N x N samples a pixel (default: 2)")
+    parser.add_argument(
+        "--renderer",
+        default="pyrender",
+        metavar="NAME",
+        help="pyrender, or mitsuba for path-traced pictures, which take longer (default: pyrender)",
+    )
+    parser.add_argument("--supersampling", type=int, metavar="N", help="N x N samples a pixel of pyrender (default: 2)")
+    parser.add_argument("--samples", type=int, metavar="N", help="light paths a pixel of mitsuba (default: 64)")
 
 
 def run(args: argparse.Namespace) -> int:
     """Render what is missing and report."""
     from gazenerf.cli.common import progress, summary_table
+    from gazenerf.cli.libraries import naming_missing_libraries
     from gazenerf.data import synthesize
     from gazenerf.errors import UserError
 
-    if args.seed < 0:
-        raise UserError(f"--seed must be 0 or more, got {args.seed}")
-    if not 1 <= args.supersampling <= 8:
-        raise UserError(f"--supersampling goes from 1 to 8, got {args.supersampling}")
+    sampling = {"supersampling": args.supersampling, "samples": args.samples}
+    sampling = {name: value for name, value in sampling.items() if value is not None}
+    for name, owner in (("supersampling", "pyrender"), ("samples", "mitsuba")):
+        if name in sampling and args.renderer != owner:
+            raise UserError(f"--{name} is a setting of --renderer {owner}, not of {args.renderer}")
     started, total = time.perf_counter(), args.people * args.views
     seen = 0
-    with progress("rendering", max(total, 0)) as advance:
+    with naming_missing_libraries(), progress("rendering", max(total, 0)) as advance:
 
         def on_capture(done: int, _: int) -> None:
             nonlocal seen
@@ -51,14 +60,15 @@ def run(args: argparse.Namespace) -> int:
             args.size,
             args.seed,
             layout=args.layout,
-            supersampling=args.supersampling,
+            renderer=args.renderer,
             on_capture=on_capture,
+            **sampling,
         )
     seconds = time.perf_counter() - started
     rows: dict[str, object] = {
         "folder": args.out,
         "captures": f"{total:,} ({args.people} people, {args.views} views each, {args.size}x{args.size})",
-        "rendered now": f"{rendered:,} in {seconds:.1f} s, {rendered / seconds:.1f}/s",
+        "rendered now": f"{rendered:,} by {args.renderer} in {seconds:.1f} s, {rendered / seconds:.1f}/s",
     }
     summary_table("captures", rows)
     return 0

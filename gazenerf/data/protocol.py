@@ -19,7 +19,7 @@ BEHIND_SHARE = 0.08
 XGAZE_YAWS = (-75, -60, -45, -30, -15, 0, 15, 30, 45, 60, 75)
 XGAZE_LAYOUT: tuple[tuple[float, float], ...] = (
     *((yaw, 0.0) for yaw in XGAZE_YAWS),
-    (-40.0, 25.0), (0.0, 25.0), (40.0, 25.0),
+    (-40.0, 25.0), (0.0, 30.0), (40.0, 25.0),
     (-40.0, -20.0), (0.0, -20.0), (40.0, -20.0), (0.0, -30.0),
 )  # fmt: skip
 """Yaw and pitch in degrees of 18 cameras about a head, in the manner of ETH-XGaze."""
@@ -29,13 +29,19 @@ LAYOUTS = ("random", "xgaze18")
 
 @dataclass(frozen=True)
 class View:
-    """One view to render: the codes, gaze and camera of a capture."""
+    """One view to render: the codes, gaze and camera of a capture.
+
+    Attributes:
+        codes, gaze, camera, person, view: As in `Capture`.
+        noise_seed: Of a renderer that has noise.
+    """
 
     codes: Codes
     gaze: Gaze
     camera: Camera
     person: int
     view: int
+    noise_seed: int = 0
 
 
 def plan_view(model: ParametricHead, seed: int, person: int, view: int, size: int, layout: str = "random") -> View:
@@ -75,4 +81,5 @@ def plan_view(model: ParametricHead, seed: int, person: int, view: int, size: in
         target=(float(target[0]), float(target[1]), float(target[2])),
     )  # fmt: skip
     codes = Codes(who.identity, expression, who.texture, light)
-    return View(codes, Gaze.from_degrees(float(pitch), float(yaw)), camera, person, view)
+    noise_seed = int(np.random.default_rng((seed, person, 2, view)).integers(2**31))
+    return View(codes, Gaze.from_degrees(float(pitch), float(yaw)), camera, person, view, noise_seed)

@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from gazenerf.errors import UserError
 from gazenerf.geometry import Camera
 from gazenerf.head_model.interface import HeadMesh
+from gazenerf.head_model.shading import shade
 
 NEAR, FAR = 1.0, 60.0
 _PART_COLOURS = np.array([[90, 90, 90], [160, 160, 160], [230, 230, 230]], dtype=np.uint8)
@@ -96,6 +98,17 @@ class Rasterizer:
         depth = np.where(seen, depth_z / camera.ray_z(), 0.0).astype(np.float32)
         return Raster(np.ascontiguousarray(image), parts, depth)
 
+    def render_lit(self, mesh: HeadMesh, illumination: np.ndarray, camera: Camera, seed: int = 0) -> Raster:
+        """Rasterise a head shaded at its vertices.
+
+        Args:
+            mesh: The head.
+            illumination: (27,) spherical-harmonic coefficients of radiance.
+            camera: Of this rasteriser's size.
+            seed: Ignored; there is no noise.
+        """
+        return self.render(mesh, shade(mesh, illumination, camera.position), camera)
+
     def normals(self, mesh: HeadMesh, camera: Camera) -> np.ndarray:
         """(H, W, 3) float32 interpolated unit world normals at pixel centres, NaN where nothing is hit."""
         flags = self._pyrender.RenderFlags.FLAT | self._pyrender.RenderFlags.SKIP_CULL_FACES
@@ -118,7 +131,7 @@ class Rasterizer:
             multisampled(target, 0, *rest)
 
         module.glRenderbufferStorageMultisample = single
-        inner = self._renderer._renderer
+        inner: Any = self._renderer._renderer
         inner._delete_main_framebuffer()
         try:
             yield
@@ -128,7 +141,8 @@ class Rasterizer:
 
     def _draw(self, scene, camera: Camera, flags: int) -> tuple[np.ndarray, np.ndarray]:
         self._renderer.viewport_width, self._renderer.viewport_height = camera.width, camera.height
-        colour, depth = self._renderer.render(scene, flags=flags)
+        drawn: Any = self._renderer.render(scene, flags=flags)
+        colour, depth = drawn
         return np.asarray(colour), np.asarray(depth)
 
     def _scene(self, mesh: HeadMesh, rgba: np.ndarray, camera: Camera):

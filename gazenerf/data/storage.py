@@ -1,18 +1,24 @@
 """Captures on disk: a manifest and one shard a person and range of views, written whole, no pickle.
 
-A shard is a `.npz` whose pictures are PNG bytes; a folder can be extended or resumed shard by shard.
+A shard is a `.npz` whose pictures are PNG bytes; a folder is resumed shard by shard.
 """
 
 from __future__ import annotations
 
 import io
 import json
+import math
+import struct
+import zipfile
+import zlib
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 from PIL import Image
 
+from gazenerf.data.arrays import read_stored_arrays
 from gazenerf.data.captures import Capture
 from gazenerf.errors import UserError
 from gazenerf.files import whole_file
@@ -24,8 +30,17 @@ MANIFEST = "manifest.json"
 SHARD_VIEWS = 30
 MAX_SIDE = 4096
 MAX_SHARD_BYTES = 2**30
+MAX_MANIFEST_BYTES = 2**20
 DEPTH_STEP = 5e-4
 """World units a depth level; depth is stored as 16-bit steps from the capture's nearest point."""
+
+_CODES = ("identity", "expression", "texture", "illumination")
+_DAMAGE = (
+    OSError, EOFError, KeyError, ValueError, IndexError, TypeError, AttributeError, SyntaxError, OverflowError,
+    RecursionError, MemoryError, NotImplementedError, struct.error, zlib.error, zipfile.BadZipFile,
+    Image.DecompressionBombError,
+)  # fmt: skip
+"""What reading a damaged shard can raise."""
 
 
 def shard_name(person: int, first_view: int) -> str:
@@ -37,21 +52,47 @@ def write_manifest(folder: Path, manifest: dict[str, Any]) -> None:
     """Write a set's manifest, adding the format.
 
     Raises:
-        UserError: the folder already holds another set.
+        UserError: the folder already holds another set; the message says what differs.
     """
     path = folder / MANIFEST
     manifest = {"format": FORMAT, **manifest}
     if path.is_file():
-        if json.loads(path.read_text()) != manifest:
-            raise UserError(f"{folder} holds other captures; choose another --out or the same settings to resume")
+        old = read_manifest(folder)
+        differing = [key for key in sorted(old.keys() | manifest.keys()) if old.get(key) != manifest.get(key)]
+        if differing:
+            shared = [key for key in differing if key in old and key in manifest] or differing
+            changes = "; ".join(f"{key} {old.get(key)}, not {manifest.get(key)}" for key in shared)
+            raise UserError(
+                f"{folder} holds other captures ({changes}); choose another --out or the same settings to resume"
+            )
         return
     with whole_file(path) as temporary:
         temporary.write_text(json.dumps(manifest, indent=2) + "\n")
 
 
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """A set's manifest.
+
+    Raises:
+        UserError: it is missing, too large, damaged, or of another format.
+    """
+    path = folder / MANIFEST
+    if not path.is_file():
+        raise UserError(f"no captures in {folder}; make some with `gazenerf synthesize --out {folder}`")
+    try:
+        if path.stat().st_size > MAX_MANIFEST_BYTES:
+            raise ValueError("it is too large")
+        manifest = json.loads(path.read_text())
+    except (OSError, ValueError, RecursionError) as error:
+        raise UserError(f"cannot read {path}: {error}") from error
+    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
+        raise UserError(f"{path} is not a manifest of captures")
+    return manifest
+
+
 def write_shard(folder: Path, captures: list[Capture]) -> None:
     """Write captures of one person as a shard named after the first one's view."""
-    arrays: dict[str, np.ndarray] = {
+    arrays: dict[str, Any] = {
         "meta": np.frombuffer(
             json.dumps(
                 [
@@ -66,11 +107,9 @@ def write_shard(folder: Path, captures: list[Capture]) -> None:
             ).encode(),
             dtype=np.uint8,
         ),
-        "identity": np.stack([c.codes.identity for c in captures]),
-        "expression": np.stack([c.codes.expression for c in captures]),
-        "texture": np.stack([c.codes.texture for c in captures]),
-        "illumination": np.stack([c.codes.illumination for c in captures]),
     }
+    for name in _CODES:
+        arrays[name] = np.stack([getattr(c.codes, name) for c in captures])
     for i, capture in enumerate(captures):
         seen = capture.depth > 0
         nearest = float(capture.depth[seen].min()) if seen.any() else 0.0
@@ -89,7 +128,7 @@ def _png(image: np.ndarray) -> np.ndarray:
     return np.frombuffer(buffer.getvalue(), dtype=np.uint8)
 
 
-class CaptureSet:
+class CaptureSet(Sequence[Capture]):
     """A folder of captures, read shard by shard and kept in memory once read.
 
     Args:
@@ -101,25 +140,24 @@ class CaptureSet:
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
-        path = self.folder / MANIFEST
-        if not path.is_file():
-            raise UserError(f"no captures in {self.folder}; make some with `gazenerf synthesize --out {self.folder}`")
-        try:
-            self.manifest: dict[str, Any] = json.loads(path.read_text())
-        except (OSError, ValueError) as error:
-            raise UserError(f"cannot read {path}: {error}") from error
-        if not isinstance(self.manifest, dict) or self.manifest.get("format") != FORMAT:
-            raise UserError(f"{path} is not a manifest of captures")
+        self.manifest = read_manifest(self.folder)
         self._captures: list[Capture] = []
         for shard in sorted(self.folder.glob("person-*.npz")):
-            self._captures += read_shard(shard)
+            captures = read_shard(shard)
+            if any(list(capture.codes.sizes) != self.manifest.get("code_sizes") for capture in captures):
+                raise UserError(f"the codes in {shard} are not of the sizes in {MANIFEST}; it belongs to another set")
+            self._captures += captures
         if not self._captures:
             raise UserError(f"{self.folder} holds a manifest but no shards; run `gazenerf synthesize` again")
 
     def __len__(self) -> int:
         return len(self._captures)
 
-    def __getitem__(self, index: int) -> Capture:
+    @overload
+    def __getitem__(self, index: int) -> Capture: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Capture]: ...
+    def __getitem__(self, index: int | slice) -> Capture | list[Capture]:
         return self._captures[index]
 
     @property
@@ -131,35 +169,43 @@ class CaptureSet:
 def read_shard(path: Path) -> list[Capture]:
     """The captures of one shard.
 
+    Sizes are checked before anything is unpacked, and nothing in the file is executed.
+
     Raises:
-        UserError: too large, damaged, or not a shard.
+        UserError: missing, too large, damaged, or not a shard.
     """
-    if path.stat().st_size > MAX_SHARD_BYTES:
-        raise UserError(f"{path} is larger than a shard can be")
     try:
-        with np.load(path, allow_pickle=False) as file:
-            meta = json.loads(file["meta"].tobytes())
-            codes = [file[name] for name in ("identity", "expression", "texture", "illumination")]
-            out = []
-            for i, about in enumerate(meta):
-                image, parts = _read_png(file[f"image_{i}"]), _read_png(file[f"parts_{i}"])
-                steps = _read_png(file[f"depth_{i}"]).astype(np.float64)
-                depth = np.where(steps > 0, float(file[f"near_{i}"]) + (steps - 1) * DEPTH_STEP, 0.0)
-                camera = Camera.from_dict(about["camera"])
-                if image.shape != (camera.height, camera.width, 3) or parts.shape != image.shape[:2] != depth.shape:
-                    raise ValueError("picture, parts, depth and camera differ in size")
-                gaze = Gaze(float(about["gaze"][0]), float(about["gaze"][1]))
-                out.append(
-                    Capture(image, parts, depth.astype(np.float32), camera, gaze, Codes(*(c[i] for c in codes)),
-                            int(about["person"]), int(about["view"]))
-                )  # fmt: skip
-            return out
-    except (OSError, KeyError, ValueError, IndexError, TypeError, SyntaxError) as error:
-        raise UserError(f"cannot read the shard {path}: {error}; delete it and synthesize again") from error
+        if path.stat().st_size > MAX_SHARD_BYTES:
+            raise ValueError("it is larger than a shard can be")
+        arrays = read_stored_arrays(path, most=5 + 4 * SHARD_VIEWS)
+        meta = json.loads(arrays["meta"].tobytes())
+        if not isinstance(meta, list) or len(meta) > SHARD_VIEWS:
+            raise ValueError(f"it does not describe up to {SHARD_VIEWS} captures")
+        return [_capture(arrays, i, about) for i, about in enumerate(meta)]
+    except _DAMAGE as error:
+        reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        raise UserError(f"cannot read the shard {path} ({reason}); delete it and synthesize again") from error
 
 
-def _read_png(data: np.ndarray) -> np.ndarray:
+def _capture(arrays: dict[str, np.ndarray], i: int, about: dict[str, Any]) -> Capture:
+    camera, gaze = Camera.from_dict(about["camera"]), Gaze(float(about["gaze"][0]), float(about["gaze"][1]))
+    nearest = float(arrays[f"near_{i}"])
+    numbers = (camera.fx, camera.fy, camera.cx, camera.cy, gaze.pitch, gaze.yaw, nearest)
+    if not all(math.isfinite(number) for number in numbers) or nearest < 0:
+        raise ValueError("a camera, gaze or depth is not a possible number")
+    size = camera.width, camera.height
+    image = _read_png(arrays[f"image_{i}"], size, ("RGB",))
+    parts = _read_png(arrays[f"parts_{i}"], size, ("L",))
+    steps = _read_png(arrays[f"depth_{i}"], size, ("I;16", "I")).astype(np.float64)
+    if parts.max() > 3:
+        raise ValueError("a part id is above 3")
+    depth = np.where(steps > 0, nearest + (steps - 1) * DEPTH_STEP, 0.0).astype(np.float32)
+    codes = Codes(*(arrays[name][i] for name in _CODES))
+    return Capture(image, parts, depth, camera, gaze, codes, int(about["person"]), int(about["view"]))
+
+
+def _read_png(data: np.ndarray, size: tuple[int, int], modes: tuple[str, ...]) -> np.ndarray:
     with Image.open(io.BytesIO(data.tobytes()), formats=["PNG"]) as image:
-        if max(image.size) > MAX_SIDE:
-            raise ValueError(f"a picture of {image.size[0]}x{image.size[1]} pixels")
+        if image.size != size or max(size) > MAX_SIDE or image.mode not in modes:
+            raise ValueError(f"a {image.mode} picture of {image.size[0]}x{image.size[1]} pixels")
         return np.array(image)
