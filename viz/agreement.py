@@ -48,6 +48,11 @@ class Agreement:
     compared: int
 
 
+def eroded(mask: np.ndarray, pixels: int = 1) -> np.ndarray:
+    """(H, W) bool: a mask without its rim of some pixels."""
+    return np.asarray(ndimage.binary_erosion(mask, iterations=pixels), dtype=bool) if pixels else mask
+
+
 def depth_difference_mm(view: DepthView, reference: DepthView, metres_per_unit: float) -> np.ndarray:
     """(H, W) signed depth difference in millimetres, NaN where one of them sees nothing."""
     return (view.depth.astype(np.float64) - reference.depth) * metres_per_unit * 1000.0
@@ -73,7 +78,7 @@ def compare(
         raise ValueError(f"views of {view.depth.shape} and {reference.depth.shape} cannot be compared")
     mine, theirs = np.isfinite(view.depth), np.isfinite(reference.depth)
     both = mine & theirs
-    inside = ndimage.binary_erosion(both, iterations=interior) if interior else both
+    inside = eroded(both, interior)
     if where is not None:
         inside = inside & where
     union = int((mine | theirs).sum())
@@ -83,14 +88,14 @@ def compare(
     if view.normals is not None and reference.normals is not None and inside.any():
         cosine = (view.normals[inside] * reference.normals[inside]).sum(axis=-1)
         angle = float(np.rad2deg(np.nanmedian(np.arccos(np.clip(cosine, -1.0, 1.0)))))
-    away = ndimage.distance_transform_edt(theirs) + ndimage.distance_transform_edt(~theirs)
+    away = np.asarray(ndimage.distance_transform_edt(theirs)) + np.asarray(ndimage.distance_transform_edt(~theirs))
     disputed = mine != theirs
     return Agreement(
         depth_median_mm=float(np.median(np.abs(error))) if error.size else nothing,
         depth_p95_mm=float(np.percentile(np.abs(error), 95)) if error.size else nothing,
         depth_bias_mm=float(np.median(error)) if error.size else nothing,
         silhouette_iou=float(both.sum() / union) if union else nothing,
-        silhouette_px=float(np.percentile(np.asarray(away)[disputed], 95)) if disputed.any() else 0.0,
+        silhouette_px=float(np.percentile(away[disputed], 95)) if disputed.any() else 0.0,
         normal_median_deg=angle,
         compared=int(inside.sum()),
     )
@@ -122,29 +127,26 @@ def reproject(
     metres_per_unit: float,
     image_a: np.ndarray | None = None,
     image_b: np.ndarray | None = None,
-    covisible: np.ndarray | None = None,
 ) -> Reprojection:
     """Round trip of view A's pixels through view B's depth, as in multi-view stereo fusion.
 
+    Judged are the pixels that land inside B on a pixel with depth, at most 0.1 units behind its
+    surface (farther behind they are hidden there).
+
     Args:
         image_a, image_b: (H, W, 3) pictures in [0, 1] of the same cameras.
-        covisible: (H, W) bool, the pixels of A to judge, as `seen_by_both` finds them; one without
-            depth in A or B is inconsistent then. When None: those that land inside B on a pixel with
-            depth, at most 0.1 units behind its surface (farther behind they are hidden there).
     """
     rays_o, rays_d = a.camera.rays()
-    seen = np.isfinite(a.depth) if covisible is None else np.isfinite(a.depth) & covisible
-    points = (rays_o + np.where(seen, a.depth, 1.0)[..., None] * rays_d)[seen]
+    seen = np.isfinite(a.depth)
+    points = rays_o[seen] + a.depth[seen][:, None] * rays_d[seen]
     pixels, z = b.camera.project(points)
     there = _sample(b.depth, pixels)
     distance = np.linalg.norm(points - b.camera.position, axis=1)
-    met = np.isfinite(there) & (z > 0)
-    if covisible is None:
-        met &= distance - there < 0.1
-    judged = int(met.sum()) if covisible is None else int(covisible.sum())
+    met = np.isfinite(there) & (z > 0) & (distance - there < 0.1)
+    judged = int(met.sum())
     nothing = float("nan")
-    if not met.any():
-        return Reprojection(0.0 if judged else nothing, nothing, nothing, nothing, judged)
+    if not judged:
+        return Reprojection(nothing, nothing, nothing, nothing, 0)
     own = a.camera.pixel_centres()[seen][met]
     directions = b.camera.rays(pixels[met])[1]
     back = b.camera.position + there[met, None] * directions
@@ -155,33 +157,16 @@ def reproject(
     good = (gap < 1.0) & (depth_gap < 0.01 * a.depth[seen][met])
     psnr = nothing
     if image_a is not None and image_b is not None and good.any():
-        warped = cv2.remap(
-            image_b.astype(np.float32), (pixels[met][good, 0] - 0.5).astype(np.float32)[None],
-            (pixels[met][good, 1] - 0.5).astype(np.float32)[None], cv2.INTER_LINEAR,
-        )[0]  # fmt: skip
-        mse = float(((warped - image_a[seen][met][good]) ** 2).mean())
+        rows, columns = np.argwhere(seen)[met][good].T
+        target = np.full((2, *a.depth.shape), -1.0, np.float32)
+        target[:, rows, columns] = (pixels[met][good] - 0.5).T
+        warped = cv2.remap(image_b.astype(np.float32), target[0], target[1], cv2.INTER_LINEAR)[rows, columns]
+        mse = float(((warped - image_a[rows, columns]) ** 2).mean())
         psnr = float(-10.0 * np.log10(max(mse, 1e-10)))
     return Reprojection(
         float(good.sum() / judged), float(np.median(gap)), float(np.median(depth_gap) * metres_per_unit * 1000.0), psnr,
         judged,
     )  # fmt: skip
-
-
-def seen_by_both(a: DepthView, b: DepthView, tolerance: float = 0.01) -> np.ndarray:
-    """(H, W) bool: pixels of A, one inside its silhouette, whose surface point B sees as well.
-
-    Args:
-        a, b: Exact views of one surface, such as two of the reference.
-        tolerance: World units between the point and B's surface along B's ray.
-    """
-    rays_o, rays_d = a.camera.rays()
-    seen = ndimage.binary_erosion(np.isfinite(a.depth))
-    points = rays_o[seen] + a.depth[seen][:, None] * rays_d[seen]
-    pixels, z = b.camera.project(points)
-    distance = np.linalg.norm(points - b.camera.position, axis=1)
-    out = np.zeros(a.depth.shape, dtype=bool)
-    out[seen] = (z > 0) & (np.abs(np.nan_to_num(_sample(b.depth, pixels), nan=np.inf) - distance) < tolerance)
-    return out
 
 
 def blemish_mm2(view: DepthView, reference: DepthView, metres_per_unit: float, limit_mm: float = 5.0) -> float:
@@ -190,9 +175,10 @@ def blemish_mm2(view: DepthView, reference: DepthView, metres_per_unit: float, l
     Four pixels at the reference's edge are left out. The area is that of the pixels at the
     reference's depth, seen face on.
     """
-    inside = ndimage.binary_erosion(np.isfinite(reference.depth), iterations=4)
+    inside = eroded(np.isfinite(reference.depth), 4)
     off = np.abs(np.nan_to_num(depth_difference_mm(view, reference, metres_per_unit), nan=np.inf)) > limit_mm
-    spots, count = ndimage.label(ndimage.binary_opening(off & inside))
+    spots = np.zeros(off.shape, np.int32)
+    count = int(np.asarray(ndimage.label(ndimage.binary_opening(off & inside), output=spots)))
     if not count:
         return 0.0
     side = np.where(inside, reference.depth, 0.0) / view.camera.fx * metres_per_unit * 1000.0

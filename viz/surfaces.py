@@ -10,13 +10,36 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
 from scipy.spatial import KDTree
 
-from viz.agreement import DepthView
+from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, HeadMesh
+from viz.agreement import DepthView, eroded
+from viz.reference import ReferenceView
 
 F_LIMITS_MM = (1.0, 2.0, 5.0)
 """Distances of the F-score."""
+
+SURFACE_GAUGES = (
+    "surface_accuracy_mm",
+    "surface_completeness_mm",
+    "chamfer_mm",
+    "normal_consistency",
+    *(f"f_score_{limit:g}mm" for limit in F_LIMITS_MM),
+    "chamfer_aligned_mm",
+    "frame_shift_mm",
+    "frame_turn_deg",
+    "scale_percent",
+    "eye_centre_mm",
+)
+"""What `measure_surfaces` gives: distances without alignment, the Chamfer distance after a rigid fit,
+the shift (at the world's origin), turn and size of a similarity fit, and how far the worse eye's
+sphere is from the reference's. The size is by how many per cent the field is larger than the reference.
+Shift and turn are the similarity's, since a rigid fit turns a difference of size into both."""
+
+LEFT_EYE, RIGHT_EYE = EYE_LEFT + 1, EYE_RIGHT + 1
+"""Values of `ReferenceView.parts`."""
+
+MIN_SAMPLES, MIN_EYE_PIXELS = 200, 40
 
 
 @dataclass(frozen=True)
@@ -89,9 +112,9 @@ def surface_samples(views: Sequence[DepthView], count: int, seed: int = 0) -> Su
     """
     points, normals = [], []
     for view in views:
-        seen = ndimage.binary_erosion(np.isfinite(view.depth))
         if view.normals is None:
             raise ValueError("surface samples need views with normals")
+        seen = eroded(np.isfinite(view.depth))
         seen &= np.isfinite(view.normals).all(axis=-1)
         rays_o, rays_d = view.camera.rays()
         points.append(rays_o[seen] + view.depth[seen][:, None] * rays_d[seen])
@@ -126,7 +149,9 @@ def surface_agreement(field: SurfaceSamples, reference: SurfaceSamples, metres_p
 def _distances(points: np.ndarray, normals: np.ndarray, surface: SurfaceSamples) -> tuple[np.ndarray, float]:
     tree = KDTree(surface.points)
     gap, nearest = tree.query(points)
-    spacing = float(np.median(tree.query(surface.points[:: max(1, len(surface.points) // 500)], k=2)[0][:, 1]))
+    some = surface.points[:: max(1, len(surface.points) // 500)]
+    spacing = float(np.median(np.asarray(tree.query(some, k=2)[0])[:, 1]))
+    gap, nearest = np.asarray(gap), np.asarray(nearest)
     planes = np.abs(((points - surface.points[nearest]) * surface.normals[nearest]).sum(-1))
     cosine = float((normals * surface.normals[nearest]).sum(-1).mean())
     return np.where(gap <= 3.0 * spacing + planes, np.minimum(planes, gap), gap), cosine
@@ -153,8 +178,9 @@ def align(
     for _ in range(iterations):
         here = found.apply(points)
         gap, nearest = tree.query(here)
-        kept = gap <= 3.0 * np.median(gap) + 1e-9
-        here, target, normal = here[kept], fixed.points[nearest[kept]], fixed.normals[nearest[kept]]
+        kept = np.asarray(gap) <= 3.0 * np.median(gap) + 1e-9
+        pairs = np.asarray(nearest)[kept]
+        here, target, normal = here[kept], fixed.points[pairs], fixed.normals[pairs]
         columns = [np.cross(here, normal), normal]
         if scale:
             columns.append((here * normal).sum(-1, keepdims=True))
@@ -177,21 +203,83 @@ def _rotation(vector: np.ndarray) -> np.ndarray:
     return np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * k @ k
 
 
+def measure_surfaces(
+    views: Sequence[DepthView],
+    references: Sequence[ReferenceView],
+    mesh: HeadMesh,
+    metres_per_unit: float,
+    *,
+    count: int = 30_000,
+    seed: int = 0,
+) -> dict[str, float]:
+    """Surface distances as the frames are and after a rigid fit, the fits themselves, and the eyes' centres.
+
+    Args:
+        views: The field's, with normals.
+        references: Of the same cameras.
+        mesh: What the references show.
+        count: Samples a side.
+        seed: Of the samples.
+
+    Returns:
+        Name to value; NaN where too little is seen.
+    """
+    mm = 1000.0 * metres_per_unit
+    mine, theirs = surface_samples(views, count, seed), surface_samples(references, count, seed + 1)
+    if min(len(mine.points), len(theirs.points)) < MIN_SAMPLES:
+        return dict.fromkeys(SURFACE_GAUGES, float("nan"))
+    plain = surface_agreement(mine, theirs, metres_per_unit)
+    rigid, similar = align(mine, theirs), align(mine, theirs, scale=True)
+    fitted = surface_agreement(mine.moved(rigid), theirs, metres_per_unit)
+    values = (
+        plain.accuracy_mm, plain.completeness_mm, plain.chamfer_mm, plain.normal_consistency,
+        *(plain.f_score[f"{limit:g}"] for limit in F_LIMITS_MM),
+        fitted.chamfer_mm,
+        float(np.linalg.norm(similar.translation)) * mm,
+        float(np.rad2deg(similar.angle)),
+        100.0 * (1.0 / similar.scale - 1.0),
+        _eyes_apart(views, references, mesh) * mm,
+    )  # fmt: skip
+    return dict(zip(SURFACE_GAUGES, values, strict=True))
+
+
+def _eyes_apart(views: Sequence[DepthView], references: Sequence[ReferenceView], mesh: HeadMesh) -> float:
+    """Largest distance, world units, between an eye's sphere in the field and in the reference, same pixels."""
+    worst = float("nan")
+    for part in (LEFT_EYE, RIGHT_EYE):
+        pairs = []
+        for view, reference in zip(views, references, strict=True):
+            both = (reference.parts == part) & np.isfinite(view.depth)
+            rays_o, rays_d = view.camera.rays()
+            pairs.append(
+                [rays_o[both] + depth[both][:, None] * rays_d[both] for depth in (view.depth, reference.depth)]
+            )
+        mine, theirs = (np.concatenate(points) for points in zip(*pairs, strict=True))
+        if len(mine) >= MIN_EYE_PIXELS:
+            gap = np.linalg.norm(sphere_centre(mine, mesh.eye_radius) - sphere_centre(theirs, mesh.eye_radius))
+            worst = float(np.fmax(worst, gap))
+    return worst
+
+
 def sphere_centre(points: np.ndarray, radius: float, iterations: int = 30) -> np.ndarray:
-    """(3,) centre of the sphere of a known radius through points (N, 3) of its front, least squares.
+    """(3,) centre of the sphere of a known radius through points (N, 3) of its front.
+
+    Least squares; after five steps, points farther from the sphere than three times the median and
+    5 % of the radius are left out, so that some lid among the points does not pull it.
 
     Args:
         points: At least three, world units.
         radius: World units.
         iterations: Gauss-Newton steps.
     """
-    middle = points.mean(axis=0)
-    centre = middle - np.array([0.0, 0.0, radius])
-    for _ in range(iterations):
+    centre = points.mean(axis=0) - np.array([0.0, 0.0, radius])
+    for i in range(iterations):
         offsets = points - centre
-        length = np.linalg.norm(offsets, axis=1, keepdims=True)
-        step, *_ = np.linalg.lstsq(-offsets / length, radius - length[:, 0], rcond=None)
+        length = np.linalg.norm(offsets, axis=1)
+        error = radius - length
+        kept = np.abs(error) <= max(3.0 * float(np.median(np.abs(error))), 0.05 * radius) if i >= 5 else slice(None)
+        step, *_ = np.linalg.lstsq(-(offsets / length[:, None])[kept], error[kept], rcond=None)
         centre = centre + step
-        if np.abs(step).max() < 1e-9:
+        if i >= 5 and np.abs(step).max() < 1e-9:
             break
     return centre

@@ -22,7 +22,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--size", type=int, default=192, metavar="PX", help="side of a view (default: 192)")
     parser.add_argument("--reference", default="both", choices=sorted(REFERENCES), help="reference renderer")
     parser.add_argument(
-        "--fail-on", nargs="+", default=[], metavar="NAME=X", help="exit 1 when a metric of report.json is worse than X"
+        "--fail-on",
+        nargs="+",
+        default=[],
+        metavar="NAME=X",
+        help="exit 1 when a metric of report.json is worse than X or was not measured",
     )
     parser.add_argument("--overwrite", action="store_true", help="replace a report at --out")
 
@@ -49,10 +53,11 @@ def run(args: argparse.Namespace) -> int:
     """Check, write, report; 1 when a threshold is crossed."""
     from gazenerf.cli.common import checked_gaze, load_bound_factory, progress, summary_table
     from gazenerf.head_model import load_head_model
-    from viz.check import check_cameras, check_subject
+    from viz.check import check_cameras, check_names, check_subject
     from viz.report import NUMBERS, REPORT, write_report
 
     thresholds = parse_thresholds(args.fail_on)
+    check_names(thresholds)
     gaze = checked_gaze(args.gaze)
     check_cameras(args.views, args.size)
     for name in (REPORT, NUMBERS):
@@ -69,14 +74,20 @@ def run(args: argparse.Namespace) -> int:
             views=args.views,
             size=args.size,
             renderers=REFERENCES[args.reference],
+            illumination=subject.head.illumination,
             progress=lambda done, total: advance(1),
         )
     crossed = [name for name, limit in thresholds.items() if result.metric(name).crosses(limit)]
     page, numbers = write_report(result, args.out)
     rows: dict[str, object] = {"report": page, "numbers": numbers}
-    rows |= {m.label: f"{m.value:.3g} {m.unit} ({m.verdict})".replace("  ", " ") for m in result.metrics}
+    rows |= {m.label: f"{_short(m.value)} {m.unit} ({m.verdict})".replace("  ", " ") for m in result.metrics}
     rows |= {f"{name} could not start": fix for name, fix in result.missing.items()}
     if crossed:
         rows["thresholds crossed"] = ", ".join(crossed)
     summary_table(f"check of {subject.name}", rows)
     return 1 if crossed else 0
+
+
+def _short(value: float) -> str:
+    """Three digits, and no powers of ten for areas."""
+    return f"{value:,.0f}" if abs(value) >= 1000.0 else f"{value:.3g}"
