@@ -84,8 +84,8 @@ def load_bound_factory(args: argparse.Namespace) -> tuple[Subject, Callable[[Gaz
 
 
 @contextmanager
-def progress(title: str, total: int) -> Iterator[Callable[..., None]]:
-    """A progress line on standard error, with rate and time left; quiet when nobody watches.
+def progress(title: str, total: int, show: bool = True) -> Iterator[Callable[..., None]]:
+    """A progress line on standard error, with rate and time left; quiet when nobody watches or unless `show`.
 
     Yields:
         A function `advance(steps, note="")`.
@@ -101,7 +101,7 @@ def progress(title: str, total: int) -> Iterator[Callable[..., None]]:
         TimeRemainingColumn(),
         TextColumn("{task.fields[note]}"),
     )
-    with Progress(*columns, console=console, disable=not sys.stderr.isatty(), transient=True) as bar:
+    with Progress(*columns, console=console, disable=not (show and sys.stderr.isatty()), transient=True) as bar:
         task = bar.add_task(title, total=total, rate="", note="")
 
         def advance(steps: int = 1, note: str = "") -> None:

@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
         estimate_gaze = load_gaze_estimator(args.gaze_estimator)
     runtime = Runtime(args.device, args.devices, args.precision)
     console = Console()
-    with progress("training", total=config.steps) as advance:
+    with progress("training", total=config.steps, show=runtime.rank == 0) as advance:
         last = 0
 
         def on_step(state: Progress) -> None:
@@ -101,7 +101,8 @@ def run(args: argparse.Namespace) -> int:
             about={"preset": args.preset, "data": captures.manifest},
             on_step=on_step,
         )
-    console.print(f"wrote {args.out / 'field.safetensors'}")
+    if runtime.rank == 0:
+        console.print(f"wrote {args.out / 'field.safetensors'}")
     return 0
 
 
