@@ -69,7 +69,10 @@ def run(args: argparse.Namespace) -> int:
     if config.perceptual:
         from gazenerf.training.perceptual import load_perceptual
 
-        features = load_perceptual(config.perceptual_backbone)
+        try:
+            features = load_perceptual(config.perceptual_backbone)
+        except UserError as error:
+            raise UserError(f"{error}; or train without it: --set perceptual=0") from error
     if config.functional:
         from gazenerf.training.gaze_estimator import load_gaze_estimator
 

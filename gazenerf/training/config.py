@@ -48,7 +48,7 @@ class TrainConfig:
 
     field_preset: str = "small"
     field_overrides: dict[str, Any] = dataclasses.field(default_factory=dict)
-    steps: int = 6000
+    steps: int = 2600
     batch: int = 2
     optimizer: str = "muon"
     muon_learning_rate: float = 1.5
@@ -56,27 +56,27 @@ class TrainConfig:
     final_learning_rate: float = 3e-5
     density_learning_rate: float = 3.0
     warmup: int = 50
-    shell: float | None = 0.2
-    shell_samples: int = 8
+    shell: float | None = 0.15
+    shell_samples: int = 6
     shell_noise: float = 0.02
     reconstruction: float = 1.0
-    perceptual: float = 0.0
+    perceptual: float = 0.03
     functional: float = 0.0
     disentanglement: float = 0.0
     functional_content: float = 1e-3
     code_weights: tuple[float, float, float, float] = (1e-3, 1.0, 1e-3, 1e-3)
     learn_codes: bool = False
     learn_cameras: bool = False
-    depth: float = 0.5
-    surface: float = 1.0
-    opacity: float = 0.5
+    depth: float = 0.3
+    surface: float = 0.4
+    opacity: float = 0.3
     empty: float = 0.005
     eyeball: float = 0.01
     background_weight: float = 0.5
     eyes_weight: float = 1.0
     geometry_decay: float = 0.3
-    perceptual_backbone: str = "none"
-    perceptual_start: float = 0.5
+    perceptual_backbone: str = "alexnet"
+    perceptual_start: float = 0.3
     streams_every: int = 4
     ema: float = 0.998
     gradient_clip: float = 10.0
@@ -106,7 +106,16 @@ class TrainConfig:
 
 PRESETS: dict[str, TrainConfig] = {
     "small": TrainConfig(),
-    "tiny": TrainConfig(field_preset="tiny", steps=60, batch=1, shell_samples=8, warmup=10),
+    "tiny": TrainConfig(
+        field_preset="tiny",
+        steps=60,
+        batch=1,
+        shell=0.25,
+        shell_samples=8,
+        warmup=10,
+        perceptual=0.0,
+        perceptual_backbone="none",
+    ),
     "paper": TrainConfig(
         field_preset="paper",
         steps=200_000,
