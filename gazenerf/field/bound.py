@@ -144,7 +144,8 @@ class BoundTwoStream:
         return total
 
     def _query(self, name: str, points: torch.Tensor) -> torch.Tensor:
-        return self.field.stream(name).query(points[None], self._conditions[name], features=False)[0][0]
+        density = self.field.stream(name).query(points[None], self._conditions[name], features=False)[0][0]
+        return self.field.confine(name, density, points)
 
     @cached_property
     def _grids(self) -> dict[str, Occupancy]:
@@ -242,7 +243,7 @@ class BoundTwoStream:
             if name == "eyes" and len(names) > 1 and (bounds := self._eyes_bounds) is not None:
                 near = ((points >= bounds[0]) & (points <= bounds[1])).all(-1).any(-1)
             density, hidden = stream.query(points[near][None], self._conditions[name])
-            found[name] = density[0], hidden[0].float()
+            found[name] = self.field.confine(name, density[0], points[near]), hidden[0].float()
         leading = next(iter(names))
         total = found[leading][0].clone()
         if len(names) > 1:
@@ -265,7 +266,8 @@ class BoundTwoStream:
     def render(self, camera: Camera, parts: tuple[Part, ...] = ("head",)) -> RenderedView:
         """Pictures at the camera's size, composited from feature maps `upsampling` times smaller.
 
-        A size that is not a multiple is rendered at the next one and resampled.
+        A size that is not a multiple is rendered at the next one and resampled. Around the eyes the
+        `eyes` picture is the plain background where training never showed that stream (`eyes_box`).
         """
         for part in parts:
             self._streams_of(part)
@@ -299,6 +301,8 @@ class BoundTwoStream:
                         features = self.field.move_eyes(features, self._label)
                 picture = self.field.renderer(features.T.reshape(1, -1, rows, columns))[0]
                 image = np.ascontiguousarray(picture.permute(1, 2, 0).float().numpy())
+                if names == ("eyes",) and config.eyes_box is not None:
+                    image = self._on_background(image, opacity.reshape(rows, columns).numpy())
                 if image.shape[:2] != (camera.height, camera.width):
                     image = cv2.resize(image, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
                 images[part] = np.clip(image, 0.0, 1.0)
@@ -306,6 +310,12 @@ class BoundTwoStream:
                     small, opacity.reshape(rows, columns).numpy(), distance.reshape(rows, columns).numpy()
                 )
         return RenderedView(camera, images, geometry)
+
+    def _on_background(self, image: np.ndarray, opacity: np.ndarray) -> np.ndarray:
+        """A picture (H, W, 3) where a feature map's opacity (h, w) or a neighbour's is, else the background."""
+        grown = cv2.dilate(opacity.astype(np.float32), np.ones((3, 3), np.uint8))
+        share = cv2.resize(grown, (image.shape[1], image.shape[0]), interpolation=cv2.INTER_LINEAR)[..., None]
+        return share * image + (1.0 - share) * self.background
 
     def render_geometry(self, camera: Camera, part: Part = "head", normals: bool = False) -> GeometryView:
         """Opacity and expected depth along the rays of every pixel; for `head`, of both media as one.

@@ -39,6 +39,8 @@ class FieldConfig:
         metres_per_unit: Size of a world unit.
         sampler: How pictures are sampled: `slabs` (published) or `guided` (found surface, then a shell).
         shell: Half width of the guided shell, world units; shell_samples: its samples a ray.
+        eyes_box: Lower and upper corner, world units, of the volume in which the eyes stream was trained;
+            outside it its density is taken as 0. None where it was trained everywhere (published).
         trained_gaze_range: Largest |pitch|, |yaw| in degrees seen in training, None when unknown.
     """
 
@@ -70,6 +72,7 @@ class FieldConfig:
     sampler: str = "slabs"
     shell: float = 0.25
     shell_samples: int = 12
+    eyes_box: tuple[float, float, float, float, float, float] | None = None
     trained_gaze_range: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
@@ -95,6 +98,11 @@ class FieldConfig:
             need(getattr(self, name) in choices, f"{name} must be one of {', '.join(choices)}")
         need(self.eye_motion == "none" or self.feature_channels % 3 == 0, "rotated features come in groups of 3")
         need(len(self.input_gains) == 5 and all(gain > 0 for gain in self.input_gains), "input_gains are five above 0")
+        box = self.eyes_box
+        need(
+            box is None or (len(box) == 6 and all(a < b for a, b in zip(box[:3], box[3:], strict=True))),
+            "eyes_box is a lower and an upper corner",
+        )
         need(len(self.gaze_label_signs) == 2 and all(abs(s) == 1 for s in self.gaze_label_signs), "signs are +-1")
 
     @property
@@ -129,7 +137,7 @@ class FieldConfig:
         values: dict[str, Any] = {}
         for name, value in data.items():
             default = known[name].default
-            if isinstance(default, tuple) or name == "trained_gaze_range":
+            if isinstance(default, tuple) or name in ("trained_gaze_range", "eyes_box"):
                 value = None if value is None else tuple(float(item) for item in value)
             elif isinstance(default, bool):
                 value = bool(value)

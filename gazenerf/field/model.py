@@ -56,6 +56,14 @@ class TwoStreamField(nn.Module):
         """Features (..., C) turned by the configured eye motion; label (..., 2) broadcasts."""
         return EYE_MOTIONS[self.config.eye_motion](features, label)
 
+    def confine(self, name: str, density: torch.Tensor, points: torch.Tensor) -> torch.Tensor:
+        """Density (...) of a stream at points (..., 3), 0 where that stream was never trained."""
+        box = self.config.eyes_box
+        if name != "eyes" or box is None:
+            return density
+        low, high = points.new_tensor(box[:3]), points.new_tensor(box[3:])
+        return density * ((points >= low) & (points <= high)).all(-1)
+
     def bind(self, subject: Subject, gaze: Gaze, **options: Any) -> BoundTwoStream:
         """This field with a subject and a gaze fixed; see `BoundTwoStream` for the options."""
         from gazenerf.field.bound import BoundTwoStream
@@ -105,6 +113,7 @@ class TwoStreamField(nn.Module):
         queried: dict[str, tuple[torch.Tensor, torch.Tensor]] = {}
         for name in self.streams:
             density, features = self.stream(name)(samples, shape_code, appearance_code, gaze_label)
+            density = self.confine(name, density, samples)
             weights, opacity = composite(density, deltas)
             rendered = (weights[..., None] * features).sum(2) + (1.0 - opacity[..., None]) * flat
             if name != "face":

@@ -138,7 +138,9 @@ def render_batch(
     t_eyes, deltas_eyes = _pick(t, batch.eye_rays), _pick(deltas, batch.eye_rays)
     eyes = model.stream("eyes")
     eyes_condition = eyes.condition(batch.shape_code, batch.appearance_code, label)
-    density_eyes, hidden_eyes = eyes.query(_pick(points, batch.eye_rays), eyes_condition)
+    eye_points = _pick(points, batch.eye_rays)
+    density_eyes, hidden_eyes = eyes.query(eye_points, eyes_condition)
+    density_eyes = model.confine("eyes", density_eyes, eye_points)
     weights_eyes, opacity_eyes = composite(density_eyes, deltas_eyes)
     rotate = config.eye_motion == "feature_rotation"
 

@@ -54,6 +54,20 @@ def trained_range(captures: Sequence[Capture]) -> tuple[float, float]:
     return float(np.round(pitch)), float(np.round(yaw))
 
 
+def eyes_box(
+    captures: Sequence[Capture], eyeballs: Callable[[Capture], tuple[np.ndarray, float]], margin: float = 1.5
+) -> tuple[float, float, float, float, float, float]:
+    """Corners of the box, world units, around everybody's eyeballs grown to `margin` radii.
+
+    Rays of the eyes stream pass near the eyes only, so elsewhere its density is never learned.
+    """
+    known = [eyeballs(capture) for capture in captures]
+    low = np.min([centres.min(0) - margin * radius for centres, radius in known], axis=0)
+    high = np.max([centres.max(0) + margin * radius for centres, radius in known], axis=0)
+    a, b, c, d, e, f = (round(float(value), 4) for value in (*low, *high))
+    return a, b, c, d, e, f
+
+
 def train(
     captures: Sequence[Capture],
     field_config: FieldConfig,
@@ -106,7 +120,11 @@ def train(
         )
     runtime = runtime or Runtime()
     torch.manual_seed(config.seed)
-    field_config = replace(field_config, trained_gaze_range=trained_range(captures))
+    field_config = replace(
+        field_config,
+        trained_gaze_range=trained_range(captures),
+        eyes_box=None if eyeballs is None or config.shell is None else eyes_box(captures, eyeballs),
+    )
     model = (initial if initial is not None else TwoStreamField(field_config)).requires_grad_(True)
     objective = Objective(model, config, len(captures), features, estimate_gaze)
     optimizer = Optimizers(

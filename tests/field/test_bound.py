@@ -10,6 +10,7 @@ import torch
 
 from gazenerf.errors import UserError
 from gazenerf.field.bound import BoundTwoStream
+from gazenerf.field.config import FieldConfig
 from gazenerf.field.interface import BoundField, GeometryView, Part
 from gazenerf.field.model import TwoStreamField
 from gazenerf.geometry import Camera, Gaze
@@ -204,3 +205,22 @@ def test_bfloat16_pictures_are_close() -> None:
     exact = field.bind(subject, GAZE).render(camera).image
     rough = field.bind(subject, GAZE, bfloat16=True).render(camera).image
     assert 0 < np.abs(exact - rough).mean() < 0.02
+
+
+def test_the_eyes_stream_is_empty_outside_its_box_on_every_path() -> None:
+    box = (-0.3, -0.3, -1.0, 0.3, 0.3, 1.0)
+    config = tiny_config(samples=24)
+    open_field, field = make_field(config), make_field(FieldConfig.from_dict(config.to_dict() | {"eyes_box": box}))
+    field.load_state_dict(open_field.state_dict())
+    subject = make_subject(config)
+    inside, outside = torch.tensor([[0.1, 0.2, 0.5]]), torch.tensor([[0.5, 0.0, 0.5], [0.0, -0.31, 0.0]])
+    plain, boxed = (item.bind(subject, Gaze(0.1, 0.2), sampler="slabs") for item in (open_field, field))
+    assert float(boxed.density(inside, "eyes")) == float(plain.density(inside, "eyes")) > 0
+    assert float(plain.density(outside, "eyes").min()) > 0 and float(boxed.density(outside, "eyes").max()) == 0
+    assert torch.equal(boxed.density(outside), boxed.density(outside, "face"))
+    camera = Camera.neutral(config.image_size)
+    slow = boxed.render_slow(camera)["image"][0].permute(1, 2, 0).numpy()
+    assert np.abs(boxed.render(camera).image - slow).max() < 1e-4
+    assert np.abs(plain.render(camera).image - slow).max() > 1e-3
+    eyes = boxed.render(camera, ("eyes",)).images["eyes"]
+    assert np.allclose(eyes[0, 0], boxed.background, atol=1e-5)
