@@ -180,7 +180,7 @@ class Stream(nn.Module):
         if not features:
             return density, hidden.new_empty(0)
         feature = F.linear(hidden, condition.feature_weight) + _like(condition.feature_bias, encoded)
-        return density, _relu(feature).reshape(batch, *rest, -1)
+        return density, _relu(feature).reshape(batch, *rest, feature.shape[-1])
 
     def project(self, composited: torch.Tensor, opacity: torch.Tensor) -> torch.Tensor:
         """The last linear layer after compositing: (B, R, H/2) and opacity (B, R) to (B, R, C)."""

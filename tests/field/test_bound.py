@@ -224,3 +224,16 @@ def test_the_eyes_stream_is_empty_outside_its_box_on_every_path() -> None:
     assert np.abs(plain.render(camera).image - slow).max() > 1e-3
     eyes = boxed.render(camera, ("eyes",)).images["eyes"]
     assert np.allclose(eyes[0, 0], boxed.background, atol=1e-5)
+
+
+def test_outlines_are_averaged_over_their_feature_pixels(balls: TwoStreamField) -> None:
+    bound = balls.bind(make_subject(balls.config), GAZE)
+    camera = Camera.neutral(balls.config.image_size)
+    opacity = bound.render(camera).geometry["head"].opacity
+    partial = (opacity > 0.1) & (opacity < 0.9)
+    assert partial.any(), "an outline crosses feature pixels"
+    many = camera.resized(16 * opacity.shape[1])
+    covered = (bound.render_geometry(many).opacity > 0.5).reshape(*(n for side in opacity.shape for n in (side, 16)))
+    share = covered.mean((1, 3))
+    hard = (opacity > 0.5).astype(float)
+    assert np.abs(opacity - share)[partial].mean() < 0.7 * np.abs(hard - share)[partial].mean()

@@ -138,3 +138,10 @@ def test_bfloat16_keeps_density_and_encoding_in_float32() -> None:
     assert density.dtype == torch.float32 and rough.dtype == torch.bfloat16
     assert (density - exact).abs().mean() < 0.05 * exact.abs().mean()
     assert F.mse_loss(rough.float(), hidden).sqrt() < 0.05 * hidden.std()
+
+
+def test_no_points_are_answered_with_none() -> None:
+    stream = Stream(tiny_config()).eval()
+    _, shape, look, label = inputs(stream, 1)
+    density, hidden = stream.query(torch.zeros(1, 0, 8, 3), stream.condition(shape, look, label))
+    assert density.shape == (1, 0, 8) and hidden.shape == (1, 0, 8, stream.config.hidden // 2)
