@@ -11,14 +11,18 @@ import numpy as np
 import trimesh
 
 from export.colours import vertex_colours
-from export.gltf import Node, glb
+from export.gltf import Node, Texture, glb
+from export.obj import material, textured_obj
+from export.points import write_points
+from export.texture import TexturedMesh
+from export.volumes import write_volume
 from gazenerf import __version__
 from gazenerf.field.interface import BoundField
 
 if TYPE_CHECKING:
     from export.meshes import PartMesh
 
-FORMATS = ("glb", "ply", "obj")
+FORMATS = ("glb", "ply", "obj", "stl")
 
 
 def in_metres(mesh: trimesh.Trimesh, metres_per_unit: float) -> trimesh.Trimesh:
@@ -32,19 +36,73 @@ def in_metres(mesh: trimesh.Trimesh, metres_per_unit: float) -> trimesh.Trimesh:
     )
 
 
-def write_mesh(extracted: PartMesh, bound: BoundField, folder: Path, formats: tuple[str, ...]) -> None:
-    """Write one part in every format, and its sidecar, to an existing folder."""
-    mesh = in_metres(extracted.mesh, bound.metres_per_unit)
-    name = extracted.part
+def part_files(
+    part: str, formats: tuple[str, ...], *, texture: bool = False, points: bool = False, volumes: tuple[str, ...] = ()
+) -> dict[str, str]:
+    """What is written for one part: kind to file name."""
+    names = {kind: f"{part}.{kind}" for kind in formats}
+    if texture and "obj" in formats:
+        names |= {"mtl": f"{part}.mtl", "png": f"{part}.png"}
+    if points:
+        names["points"] = f"{part}-points.ply"
+    names |= {kind: f"{part}.{kind}" for kind in volumes}
+    return names | {"json": f"{part}.json"}
+
+
+def write_part(
+    extracted: PartMesh,
+    bound: BoundField,
+    folder: Path,
+    formats: tuple[str, ...],
+    volumes: tuple[str, ...] = (),
+    facts: dict[str, Any] | None = None,
+) -> None:
+    """Write what there is of one part, and its sidecar, to an existing folder.
+
+    Args:
+        formats: Of the mesh.
+        volumes: Formats of its density.
+        facts: More for the sidecar.
+    """
+    metres, name = bound.metres_per_unit, extracted.part
+    mesh = in_metres(extracted.mesh, metres)
+    png = None if extracted.textured is None else extracted.textured.png()
     for kind in formats:
         path = folder / f"{name}.{kind}"
         if kind == "glb":
-            path.write_bytes(glb(Node(name, mesh)))
+            path.write_bytes(glb(_node(extracted, mesh, metres, png)))
         elif kind == "ply":
             mesh.export(path, file_type="ply", vertex_normal=True)
+        elif kind == "stl":  # slicers read its numbers as millimetres
+            trimesh.Trimesh(1000.0 * mesh.vertices, mesh.faces, process=False).export(path, file_type="stl")
+        elif extracted.textured is not None and png is not None:
+            cut = in_metres(extracted.textured.mesh, metres)
+            path.write_text(textured_obj(cut, extracted.textured.uv, name), encoding="ascii")
+            (folder / f"{name}.mtl").write_text(material(name), encoding="ascii")
+            (folder / f"{name}.png").write_bytes(png)
         else:
             mesh.export(path, file_type="obj", include_normals=True, include_color=True)
-    write_sidecar(folder / f"{name}.json", sidecar(extracted, bound))
+    if extracted.points is not None:
+        write_points(extracted.points, metres, folder / f"{name}-points.ply")
+    if extracted.volume is not None:
+        for kind in volumes:
+            write_volume(extracted.volume, metres, kind, folder / f"{name}.{kind}")
+    about = sidecar(extracted, bound) | (facts or {})
+    if "stl" in formats:
+        about["stl_units"] = "millimetres"
+    write_sidecar(folder / f"{name}.json", about)
+
+
+def _node(extracted: PartMesh, mesh: trimesh.Trimesh, metres: float, png: bytes | None) -> Node:
+    if extracted.textured is None or png is None:
+        return Node(extracted.part, mesh)
+    return textured_node(extracted.part, extracted.textured, metres, png)
+
+
+def textured_node(name: str, textured: TexturedMesh, metres_per_unit: float, png: bytes | None = None) -> Node:
+    """A textured mesh, world units, as a node in metres."""
+    mesh = in_metres(textured.mesh, metres_per_unit)
+    return Node(name, mesh, texture=Texture(textured.uv, textured.png() if png is None else png))
 
 
 def write_sidecar(path: Path, facts: dict[str, Any]) -> None:
@@ -67,15 +125,20 @@ def common_facts(bound: BoundField) -> dict[str, Any]:
 
 
 def sidecar(extracted: PartMesh, bound: BoundField) -> dict[str, Any]:
-    """What a mesh file is: frame, units, threshold, resolution, subject, gaze, weights, versions."""
+    """What a part's files are: frame, units, threshold, resolution, subject, gaze, weights, versions."""
     mesh, threshold = extracted.mesh, extracted.threshold
     metres = bound.metres_per_unit
-    return common_facts(bound) | {
+    level: dict[str, Any] = {"threshold_per_world_unit": None, "threshold_choice": None}
+    if threshold is not None:
+        level = {
+            "threshold_per_world_unit": threshold.level,
+            "threshold_choice": threshold.how,
+            "depth_disagreement_mm": None if np.isnan(threshold.depth_error_mm) else threshold.depth_error_mm,
+            "thresholds_tried": [{"level": at, "depth_disagreement_mm": error} for at, error in threshold.tried],
+        }
+    facts = common_facts(bound) | {
         "part": extracted.part,
-        "threshold_per_world_unit": threshold.level,
-        "threshold_choice": threshold.how,
-        "depth_disagreement_mm": None if np.isnan(threshold.depth_error_mm) else threshold.depth_error_mm,
-        "thresholds_tried": [{"level": level, "depth_disagreement_mm": error} for level, error in threshold.tried],
+        **level,
         "grid": list(extracted.grid),
         "voxel_mm": extracted.spacing * metres * 1000.0,
         "field_queries": extracted.queries,
@@ -85,6 +148,26 @@ def sidecar(extracted: PartMesh, bound: BoundField) -> dict[str, Any]:
         "watertight": bool(mesh.is_watertight),
         "bounds_metres": (np.asarray(mesh.bounds) * metres).tolist(),
     }
+    if extracted.volume is not None:
+        grid = extracted.volume
+        facts["volume"] = {
+            "density": "per metre; 1 - exp(-density d) is the opacity over d metres",
+            "points": list(grid.values.shape),
+            "origin_metres": (grid.origin * metres).tolist(),
+            "spacing_metres": grid.spacing * metres,
+        }
+    if extracted.points is not None:
+        facts["points_on_the_surface"] = len(extracted.points.points)
+    if extracted.textured is not None:
+        textured = extracted.textured
+        facts["texture"] = {
+            "size": len(textured.image),
+            "charts": textured.charts,
+            "share_covered_by_charts": textured.covered,
+            "share_of_texels_seen": textured.seen,
+            "vertices_with_seams": len(textured.mesh.vertices),
+        }
+    return facts
 
 
 def _version(name: str) -> str:

@@ -1,4 +1,4 @@
-"""Binary glTF 2.0: coloured nodes in a hierarchy, and rotations that move them.
+"""Binary glTF 2.0: coloured or textured nodes in a hierarchy, and rotations that move them.
 
 trimesh writes static scenes with 8-bit colours; a rig needs animation, and 8 linear bits band in
 dark skin. Colours are written as 16-bit linear values.
@@ -20,6 +20,20 @@ from gazenerf import __version__
 FLOAT, UINT32, UINT16 = 5126, 5125, 5123
 VERTICES, INDICES = 34962, 34963
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
+LINEAR, MIPMAPPED, CLAMPED = 9729, 9987, 33071
+
+
+@dataclass(frozen=True)
+class Texture:
+    """A base colour for a mesh.
+
+    Attributes:
+        uv: (V, 2) from the picture's upper left corner, v down.
+        png: The bytes of an sRGB PNG file.
+    """
+
+    uv: np.ndarray
+    png: bytes
 
 
 @dataclass(frozen=True)
@@ -29,6 +43,7 @@ class Node:
     Attributes:
         name: Its name.
         mesh: Geometry about the node's origin, None for a group.
+        texture: Base colour of the mesh; vertex colours are left out where it is given.
         translation: (3,) of the node's origin in its parent.
         rotation: Quaternion x, y, z, w.
         roughness: Of the material; metallic is always 0.
@@ -41,6 +56,7 @@ class Node:
     rotation: tuple[float, float, float, float] = IDENTITY
     roughness: float = 0.8
     children: tuple[Node, ...] = ()
+    texture: Texture | None = None
 
 
 @dataclass(frozen=True)
@@ -68,14 +84,8 @@ class _Writer:
         normalized: bool = False,
     ) -> int:  # fmt: skip
         """Append an array to the buffer; its accessor's index."""
-        self.data.extend(b"\0" * (-len(self.data) % 4))
-        view: dict[str, Any] = {"buffer": 0, "byteOffset": len(self.data), "byteLength": values.nbytes}
-        if target is not None:
-            view["target"] = target
-        self.data.extend(values.tobytes())
-        self.tree["bufferViews"].append(view)
         entry: dict[str, Any] = {
-            "bufferView": len(self.tree["bufferViews"]) - 1,
+            "bufferView": self.view(values.tobytes(), target),
             "componentType": component,
             "count": len(values),
             "type": kind,
@@ -88,7 +98,27 @@ class _Writer:
         self.tree["accessors"].append(entry)
         return len(self.tree["accessors"]) - 1
 
-    def mesh(self, mesh: trimesh.Trimesh, name: str, roughness: float) -> int:
+    def view(self, data: bytes, target: int | None = None) -> int:
+        """Append bytes to the buffer, on a boundary of four; their view's index."""
+        self.data.extend(b"\0" * (-len(self.data) % 4))
+        view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(data)}
+        self.tree["bufferViews"].append(view if target is None else view | {"target": target})
+        self.data.extend(data)
+        return len(self.tree["bufferViews"]) - 1
+
+    def texture(self, png: bytes, name: str) -> int:
+        """Append a picture and how it is looked up; its texture's index."""
+        for key in ("images", "samplers", "textures"):
+            self.tree.setdefault(key, [])
+        self.tree["images"].append({"name": name, "mimeType": "image/png", "bufferView": self.view(png)})
+        if not self.tree["samplers"]:
+            self.tree["samplers"].append(
+                {"magFilter": LINEAR, "minFilter": MIPMAPPED, "wrapS": CLAMPED, "wrapT": CLAMPED}
+            )
+        self.tree["textures"].append({"sampler": 0, "source": len(self.tree["images"]) - 1})
+        return len(self.tree["textures"]) - 1
+
+    def mesh(self, mesh: trimesh.Trimesh, name: str, roughness: float, texture: Texture | None) -> int:
         """Append a mesh; its index."""
         normals = np.asarray(mesh.vertex_normals, dtype=np.float64)
         normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
@@ -98,17 +128,20 @@ class _Writer:
             ),
             "NORMAL": self.accessor(normals.astype("<f4"), FLOAT, "VEC3", target=VERTICES),
         }
+        look: dict[str, Any] = {"metallicFactor": 0.0, "roughnessFactor": roughness}
         colours = vertex_colours(mesh)
-        if colours is not None:
+        if texture is not None:
+            uv = np.asarray(texture.uv, dtype="<f4")
+            attributes["TEXCOORD_0"] = self.accessor(uv, FLOAT, "VEC2", target=VERTICES)
+            look["baseColorTexture"] = {"index": self.texture(texture.png, name)}
+        elif colours is not None:
             rgba = np.ones((len(colours), 4))
             rgba[:, :3] = linear_from_srgb(colours[:, :3] / 255.0)
             attributes["COLOR_0"] = self.accessor(
                 np.round(65535.0 * rgba).astype("<u2"), UINT16, "VEC4", target=VERTICES, normalized=True
             )
         indices = self.accessor(np.asarray(mesh.faces, dtype="<u4").reshape(-1), UINT32, "SCALAR", target=INDICES)
-        self.tree["materials"].append(
-            {"name": name, "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": roughness}}
-        )
+        self.tree["materials"].append({"name": name, "pbrMetallicRoughness": look})
         primitive = {"attributes": attributes, "indices": indices, "material": len(self.tree["materials"]) - 1}
         self.tree["meshes"].append({"name": name, "primitives": [primitive]})
         return len(self.tree["meshes"]) - 1
@@ -117,7 +150,7 @@ class _Writer:
         """Append a node and those below; its index."""
         entry: dict[str, Any] = {"name": node.name}
         if node.mesh is not None:
-            entry["mesh"] = self.mesh(node.mesh, node.name, node.roughness)
+            entry["mesh"] = self.mesh(node.mesh, node.name, node.roughness, node.texture)
         if any(node.translation):
             entry["translation"] = [float(value) for value in node.translation]
         if tuple(node.rotation) != IDENTITY:

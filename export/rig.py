@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from export.files import in_metres
-from export.gltf import Animation, Node, glb
+from export.gltf import Animation, Node, Texture, glb
 from gazenerf.errors import UserError
 from gazenerf.field.interface import BoundField
 from gazenerf.geometry import Camera, Gaze
@@ -184,7 +184,9 @@ def quaternion(gaze: Gaze) -> tuple[float, float, float, float]:
     return x, y, z, w
 
 
-def rig(bind: Bind, gaze: Gaze, face: trimesh.Trimesh, eyes: trimesh.Trimesh) -> tuple[bytes, dict[str, Any]]:
+def rig(
+    bind: Bind, gaze: Gaze, face: trimesh.Trimesh, eyes: trimesh.Trimesh, texture: Texture | None = None
+) -> tuple[bytes, dict[str, Any]]:
     """A GLB with nodes `head`, `face`, `eye_left`, `eye_right` and the clip `gaze sweep`.
 
     The eye nodes' origins are the fitted centres of rotation; turning a node turns that gaze. Eye
@@ -194,6 +196,7 @@ def rig(bind: Bind, gaze: Gaze, face: trimesh.Trimesh, eyes: trimesh.Trimesh) ->
         bind: Binds the subject to other gazes.
         gaze: What the eye nodes are turned to at rest.
         face, eyes: The parts' meshes, world units.
+        texture: Of the face.
 
     Returns:
         The file's bytes, and facts for its sidecar.
@@ -224,7 +227,7 @@ def rig(bind: Bind, gaze: Gaze, face: trimesh.Trimesh, eyes: trimesh.Trimesh) ->
                 "head_model_radius_mm": known[1] * metres * 1000.0,
                 "centre_distance_mm": float(np.linalg.norm(eye.centre - known[0][i]) * metres * 1000.0),
             }
-    head = Node("head", children=(Node("face", in_metres(face, metres)), *nodes))
+    head = Node("head", children=(Node("face", in_metres(face, metres), texture=texture), *nodes))
     keys = [Gaze.from_degrees(*angles) for angles in SWEEP]
     turns = np.array([quaternion(key) for key in keys])
     clip = Animation("gaze sweep", np.arange(len(keys), dtype=np.float64), {node.name: turns for node in nodes})

@@ -20,6 +20,9 @@ VIEWS = ((0.0, 0.0), (40.0, 5.0), (-40.0, -5.0))
 CANDIDATES = (3.0, 6.0, 12.0, 24.0, 48.0, 96.0)
 """Densities per world unit that `auto` tries where the volume reaches them; then two beside the best."""
 
+EMPTY = 1.0
+"""Largest density, per world unit, of a volume that shows nothing: a tenth of a unit of it is 10 % opaque."""
+
 
 @dataclass(frozen=True)
 class Threshold:
@@ -85,15 +88,20 @@ def choose_threshold(
             raise UserError(f"--threshold {asked}: give auto, a density, or a percentile such as p50") from error
     if not isinstance(asked, str):
         return Threshold(float(asked), "fixed")
+    largest = float(grid.values.max())
+    if largest < EMPTY:
+        raise UserError(
+            f"the {part} volume is empty (its largest density is {largest:.3g} per unit): "
+            "the field is untrained, or its box misses the head"
+        )
     views = depth_views(bound, part)
     tried = []
     for level in CANDIDATES:
-        if level < 0.6 * float(grid.values.max()):
+        if level < 0.6 * largest:
             tried.append((level, depth_disagreement(surface(level), views, bound.metres_per_unit)))
     if not tried or not np.isfinite(min(error for _, error in tried)):
         raise UserError(
-            f"no automatic threshold fits the {part} volume, whose largest density is {grid.values.max():.3g}; "
-            "give --threshold X"
+            f"no automatic threshold fits the {part} volume, whose largest density is {largest:.3g}; give --threshold X"
         )
     best = min(tried, key=lambda pair: pair[1])[0]
     levels = [level for level, _ in tried]

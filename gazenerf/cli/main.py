@@ -19,6 +19,7 @@ COMMANDS = {
     "orbit": "render a video that flies around a head while its eyes turn",
     "sheet": "put many gazes or views of a head into one labelled picture",
     "mesh": "extract face and eye meshes from the density volumes",
+    "export": "write pictures with their cameras for nerfstudio and COLMAP",
     "check": "measure a field's geometry against renders of the subject's head model",
     "synthesize": "render captures of synthetic people to train on",
     "train": "train a two-stream field on captures",

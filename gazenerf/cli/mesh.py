@@ -1,9 +1,10 @@
-"""`gazenerf mesh`: face and eyes as meshes in metres."""
+"""`gazenerf mesh`: face and eyes as meshes, textures, points and volumes in metres."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 HELP = "extract face and eye meshes from the density volumes"
 
@@ -15,50 +16,95 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_source_arguments(parser)
     add_gaze_argument(parser)
     parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder for the meshes and their sidecars"
+        "--out", type=Path, required=True, metavar="DIR", help="folder for the files and their sidecars"
     )
-    parser.add_argument("--parts", nargs="+", default=["face", "eyes"], metavar="PART", help="face, eyes, head")
-    parser.add_argument("--resolution", type=int, default=192, metavar="N", help="grid points along the longest side")
     parser.add_argument(
+        "--for",
+        dest="use",
+        choices=("blender", "web", "print", "research"),
+        help="settings that fit a use (docs/meshes.md); what is given beside it wins",
+    )
+    parser.add_argument("--parts", nargs="+", metavar="PART", help="face, eyes, head (default: face eyes)")
+    parser.add_argument("--overwrite", action="store_true", help="replace files at --out")
+    surface = parser.add_argument_group("surface")
+    surface.add_argument(
+        "--resolution", type=int, metavar="N", help="grid points along the longest side (default: 192)"
+    )
+    surface.add_argument(
         "--threshold", default="auto", metavar="auto|X", help="density of the surface: auto, a number, or p50"
     )
-    parser.add_argument("--formats", nargs="+", default=["glb", "ply", "obj"], metavar="F", help="glb, ply, obj")
-    parser.add_argument("--rig", action="store_true", help="also write rig.glb, one file whose eyes turn")
-    parser.add_argument(
-        "--method", choices=("flying-edges", "lewiner"), default="flying-edges", help="how the surface is extracted"
+    surface.add_argument(
+        "--surface",
+        choices=("isosurface", "tsdf", "poisson"),
+        default="isosurface",
+        help="of the density, or of depth in pictures all around: fused (tsdf), or a fitted solid (poisson)",
     )
-    parser.add_argument("--smooth", type=int, default=0, metavar="N", help="rounds of smoothing that keeps the volume")
-    parser.add_argument("--max-faces", type=int, metavar="N", help="decimate each part to at most N triangles")
-    parser.add_argument("--no-colours", action="store_true", help="leave the meshes grey")
-    parser.add_argument("--overwrite", action="store_true", help="replace meshes at --out")
+    surface.add_argument(
+        "--method", choices=("flying-edges", "lewiner"), default="flying-edges", help="how an isosurface is extracted"
+    )
+    surface.add_argument("--smooth", type=int, metavar="N", help="rounds of smoothing that keeps the volume")
+    surface.add_argument("--max-faces", type=int, metavar="N", help="decimate each part to at most N triangles")
+    written = parser.add_argument_group("what is written")
+    written.add_argument("--formats", nargs="+", metavar="F", help="glb, ply, obj, stl (default: glb ply obj)")
+    written.add_argument("--no-colours", action="store_true", help="leave the meshes grey")
+    written.add_argument(
+        "--texture", type=int, choices=(1024, 2048, 4096), help="give glb and obj a texture of so many pixels a side"
+    )
+    written.add_argument("--points", type=int, metavar="N", help="also write N coloured points of each surface")
+    written.add_argument("--volume", nargs="+", metavar="F", help="also write the densities: nrrd, vti, npz")
+    written.add_argument("--rig", action="store_const", const=True, help="also write rig.glb, one file whose eyes turn")
+    written.add_argument(
+        "--no-rig", dest="rig", action="store_const", const=False, help="no rig.glb where --for would write one"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Extract, write, report."""
     from export import mesh_subject
+    from export.presets import RIGGED
     from export.report import mesh_rows, rig_rows
     from gazenerf.cli.common import checked_gaze, load_bound_factory, progress, summary_table
 
     gaze = checked_gaze(args.gaze)
+    chosen = chosen_settings(args)
+    rigged = args.use in RIGGED and {"face", "eyes"} <= set(chosen["parts"]) if args.rig is None else args.rig
     _, bind = load_bound_factory(args)
     with progress("meshing", total=0) as advance:
         meshes = mesh_subject(
             bind(gaze),
             args.out,
-            parts=tuple(args.parts),
-            resolution=args.resolution,
             threshold=args.threshold,
-            formats=tuple(args.formats),
-            colours=not args.no_colours,
             method=args.method,
-            smoothing=args.smooth,
-            max_faces=args.max_faces,
-            bind=bind if args.rig else None,
+            surface=args.surface,
+            bind=bind if rigged else None,
             overwrite=args.overwrite,
-            progress=lambda stage, done, total: advance(0, f"{stage} {done / total:.0%}"),
+            progress=lambda stage, done, total: advance(0, f"{stage} {done / max(total, 1):.0%}"),
+            **chosen,
         )
-    rows = mesh_rows(meshes, args.out, args.formats)
-    if args.rig:
+    rows = mesh_rows(meshes, args.out, chosen["formats"], chosen["volumes"])
+    if rigged:
         rows |= {"rig glb": args.out / "rig.glb", "rig json": args.out / "rig.json", **rig_rows(args.out / "rig.json")}
     summary_table("meshes", rows)
     return 0
+
+
+def chosen_settings(args: argparse.Namespace) -> dict[str, Any]:
+    """Keyword arguments of `export.mesh_subject` from a preset and what was given beside it."""
+    from export.presets import settings
+
+    given = {
+        "parts": _tuple(args.parts),
+        "resolution": args.resolution,
+        "formats": _tuple(args.formats),
+        "smoothing": args.smooth,
+        "max_faces": args.max_faces,
+        "colours": False if args.no_colours else None,
+        "texture": args.texture,
+        "points": args.points,
+        "volumes": _tuple(args.volume),
+    }
+    return settings(args.use, given)
+
+
+def _tuple(words: list[str] | None) -> tuple[str, ...] | None:
+    return None if words is None else tuple(dict.fromkeys(words))

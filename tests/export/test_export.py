@@ -134,7 +134,7 @@ def test_both_ray_casters_agree(bound):
         ({"resolution": 4}, "resolution"),
         ({"threshold": 1e6}, "lower --threshold"),
         ({"threshold": "loud"}, "give auto"),
-        ({"formats": ("stl",)}, "unknown format"),
+        ({"formats": ("fbx",)}, "unknown format"),
         ({"parts": ("nose",)}, "unknown part"),
     ],
 )

@@ -1,0 +1,151 @@
+"""The surface of a part where its density passes a threshold."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+import trimesh
+
+from export.cleaning import keep_largest
+from export.densities import DensityGrid, fill_enclosed, sample_density
+from export.isosurface import isosurface
+from export.refine import refine_density
+from export.threshold import CANDIDATES, Threshold, choose_threshold
+from gazenerf.errors import UserError
+from gazenerf.field.interface import BoundField, Part
+
+JUDGING_RESOLUTION = 96
+"""Grid points along the longest side while a threshold is chosen."""
+
+KEPT_COMPONENTS = {"face": 1, "eyes": 2, "head": 3}
+
+Tell = Callable[[str, int, int], None]
+"""Called with (stage, done, total)."""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A surface as it was found, before it is cleaned.
+
+    Attributes:
+        mesh: World units.
+        grid: Points along each axis.
+        spacing: World units.
+        queries: Points the field's density was asked for.
+        steps: How it was found.
+        threshold: The level and why, None where no level was chosen.
+        volume: The density, every point asked for; None where it was not asked for or not kept.
+    """
+
+    mesh: trimesh.Trimesh
+    grid: tuple[int, ...]
+    spacing: float
+    queries: int
+    steps: tuple[str, ...]
+    threshold: Threshold | None = None
+    volume: DensityGrid | None = None
+
+
+def density_surface(
+    bound: BoundField,
+    part: Part,
+    *,
+    resolution: int,
+    threshold: str | float,
+    method: str,
+    dense: bool = False,
+    tell: Tell = lambda stage, done, total: None,
+) -> Surface:
+    """The isosurface of one part.
+
+    The threshold is chosen on a grid of at most `JUDGING_RESOLUTION`, the density sampled along that
+    level's surface, and what is enclosed made solid (face and head).
+
+    Args:
+        resolution: Grid points along the longest side of the part's box.
+        threshold: `auto`, a density, or a percentile such as `p50`.
+        method: One of `export.isosurface.METHODS`.
+        dense: Ask for every point of the grid and return it as the surface's `volume`.
+        tell: Progress.
+
+    Raises:
+        UserError: impossible resolution, an empty volume, or no surface at the threshold.
+    """
+    box, queries = part_box(bound, part)
+
+    def volumes(side: int, levels: tuple[float, float], dense: bool) -> tuple[DensityGrid, DensityGrid | None]:
+        told = _staged(tell, f"{part} density")
+        own = (
+            sample_density(bound, part, box, side, told)
+            if dense
+            else refine_density(bound, part, box, side, levels, progress=told)
+        )
+        return own, refine_density(bound, "eyes", box, side, levels) if part == "face" and has_eyes(bound) else None
+
+    level = _fixed_level(threshold)
+    if level is not None:
+        chosen = Threshold(level, "fixed")
+    else:
+        judged, beside = volumes(min(resolution, JUDGING_RESOLUTION), _judged_levels(threshold), dense=False)
+        queries += judged.queries + (beside.queries if beside else 0)
+
+        def candidate(level: float) -> trimesh.Trimesh:
+            solid = judged if part == "eyes" else fill_enclosed(judged, beside, level)
+            return keep_largest(isosurface(solid, level, method), KEPT_COMPONENTS[part])
+
+        chosen = choose_threshold(bound, part, judged, threshold, candidate)
+    grid, other = volumes(resolution, (chosen.level, chosen.level), dense)
+    queries += grid.queries + (other.queries if other else 0)
+    solid = grid if part == "eyes" else fill_enclosed(grid, other, chosen.level)
+    steps = ["every grid point's density" if dense else "coarse-to-fine density"]
+    steps += [*(() if part == "eyes" else ("enclosed space filled",)), method.replace("-", " ")]
+    mesh = isosurface(solid, chosen.level, method)
+    volume = grid if dense else None
+    return Surface(mesh, grid.values.shape, grid.spacing, queries, tuple(steps), chosen, volume)
+
+
+def _staged(tell: Tell, stage: str) -> Callable[[int, int], None]:
+    return lambda done, total: tell(stage, done, total)
+
+
+def _fixed_level(threshold: str | float) -> float | None:
+    """A threshold that needs no judging."""
+    try:
+        return float(threshold)
+    except ValueError:
+        return None
+
+
+def _judged_levels(threshold: str | float) -> tuple[float, float]:
+    return (CANDIDATES[0], CANDIDATES[-1]) if threshold == "auto" else (1e-3, np.inf)
+
+
+def has_eyes(bound: BoundField) -> bool:
+    """Whether the field has an eyes volume of its own."""
+    try:
+        bound.density(torch.zeros(1, 3), "eyes")
+    except UserError:
+        return False
+    return True
+
+
+def part_box(bound: BoundField, part: Part) -> tuple[np.ndarray, int]:
+    """The field's box; for the eyes the smallest box around their density, so that it is sampled finely.
+
+    Also how many points that took.
+
+    Raises:
+        UserError: there are no eyes.
+    """
+    if part != "eyes":
+        return bound.box, 0
+    probe = refine_density(bound, "eyes", bound.box, 64, (0.5, np.inf))
+    found = np.argwhere(probe.values > 0.5)
+    if not len(found):
+        raise UserError("the eyes volume is empty; train longer or export --parts face")
+    margin = 2 * probe.spacing
+    corners = probe.origin + probe.spacing * np.stack([found.min(0), found.max(0)])
+    return corners + np.array([[-margin], [margin]]), probe.queries

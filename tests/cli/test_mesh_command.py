@@ -1,0 +1,89 @@
+"""`gazenerf mesh`: arguments, presets, what is said and written."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+import pytest
+import trimesh
+
+import export.colours
+from export.presets import DEFAULTS, PRESETS
+from gazenerf.cli import mesh
+from gazenerf.cli.main import main
+from gazenerf.field.analytic import AnalyticField
+
+
+@pytest.fixture
+def analytic(monkeypatch):
+    """The command meshes the analytic field."""
+    monkeypatch.setattr(export.colours, "PICTURE", 96)
+    monkeypatch.setattr(
+        "gazenerf.cli.common.load_bound_factory", lambda args: (None, lambda gaze: AnalyticField(gaze, sharpness=0.2))
+    )
+
+
+def parsed(*words: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    mesh.configure(parser)
+    return parser.parse_args(["--out", "x", *words])
+
+
+def test_without_arguments_nothing_but_the_defaults():
+    assert mesh.chosen_settings(parsed()) == DEFAULTS
+
+
+@pytest.mark.parametrize("use", PRESETS)
+def test_presets_are_offered_and_given_arguments_win(use):
+    assert mesh.chosen_settings(parsed("--for", use)) == DEFAULTS | PRESETS[use]
+    given = mesh.chosen_settings(parsed("--for", use, "--formats", "obj", "--resolution", "64", "--no-colours"))
+    assert given == DEFAULTS | PRESETS[use] | {"formats": ("obj",), "resolution": 64, "colours": False}
+
+
+def test_web_writes_textured_parts_and_a_rig(analytic, tmp_path, capsys):
+    words = ["--resolution", "48", "--threshold", "100", "--max-faces", "3000"]
+    assert main(["mesh", "--out", str(tmp_path), "--for", "web", *words]) == 0
+    written = {path.name for path in tmp_path.iterdir()}
+    assert written == {"face.glb", "face.json", "eyes.glb", "eyes.json", "rig.glb", "rig.json"}
+    assert "face texture" in capsys.readouterr().out
+    face = trimesh.load(tmp_path / "face.glb", force="mesh", process=False)
+    assert face.visual.material.baseColorTexture.size == (1024, 1024)
+    assert json.loads((tmp_path / "face.json").read_text())["faces"] <= 3000
+
+
+def test_a_preset_s_rig_can_be_left_out(analytic, tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr("export.mesh_subject", lambda *_, **settings: asked.append(settings["bind"] is not None) or {})
+    monkeypatch.setattr("export.report.rig_rows", lambda path: {})
+    for words in ([], ["--no-rig"], ["--parts", "face"], ["--parts", "face", "--rig"]):
+        assert main(["mesh", "--out", str(tmp_path), "--for", "web", *words]) == 0
+    assert asked == [True, False, False, True]
+
+
+def test_print_is_one_closed_solid_in_millimetres(analytic, tmp_path):
+    words = ["--resolution", "48", "--threshold", "100"]
+    assert main(["mesh", "--out", str(tmp_path), "--for", "print", *words]) == 0
+    solid = trimesh.load(tmp_path / "head.stl")
+    assert solid.is_watertight and solid.extents[1] == pytest.approx(220.0, abs=2.0)
+    assert json.loads((tmp_path / "head.json").read_text())["stl_units"] == "millimetres"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--volume", "dicom"], "nrrd, vti, npz"),
+        (["--points", "0"], "--points goes from 1"),
+        (["--texture", "1000"], "1024"),
+        (["--for", "unity"], "blender"),
+        (["--formats", "fbx"], "unknown format"),
+    ],
+)
+def test_bad_arguments_are_one_line(analytic, tmp_path, capsys, words, message):
+    try:
+        code = main(["mesh", "--out", str(tmp_path / "out"), *words])
+    except SystemExit as stop:
+        code = stop.code
+    said = capsys.readouterr().err.strip()
+    assert code == 2 and message in said and "\n" not in said
+    assert not (tmp_path / "out").exists()
