@@ -12,6 +12,7 @@ import trimesh
 
 from export.colours import PartPicture, part_pictures
 from gazenerf.errors import UserError
+from gazenerf.evaluation.metrics import psnr
 from gazenerf.field.interface import BoundField, Part
 from gazenerf.geometry import Camera
 
@@ -39,11 +40,8 @@ def texture_psnr(bound: BoundField, part: Part, data: bytes) -> dict[str, Any]:
 
 
 def _psnr(image: np.ndarray, mask: np.ndarray, picture: PartPicture) -> float | None:
-    both = mask & (picture.opacity > 0.5)
-    if not both.any():
-        return None
-    error = float(((image[both] - picture.image[both]) ** 2).mean())
-    return float(-10.0 * np.log10(max(error, 1e-10)))
+    value = psnr(image, picture.image, mask & (picture.opacity > 0.5))
+    return None if np.isnan(value) else min(value, 100.0)
 
 
 def render_glb(

@@ -10,15 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from gazenerf.data.mitsuba_scene import CORNEA_INDEX, VARIANT, perspective_sensor
 from gazenerf.geometry import Camera
 from gazenerf.head_model.interface import FACE, HeadMesh
 from gazenerf.head_model.shading import linear_to_srgb, spherical_harmonics
-
-VARIANT = "scalar_rgb"
-"""Runs everywhere; the just-in-time variants need an LLVM that fits, and abort the process without."""
-
-CORNEA_INDEX = 1.376
-"""Refractive index of the cornea."""
 
 PATHS = 16
 """Light paths a pixel of the picture."""
@@ -86,24 +81,8 @@ class MitsubaScene:
     def picture(self, camera: Camera) -> np.ndarray:
         """(H, W, 3) float32 path-traced sRGB picture on black; the light itself is not shown."""
         mi = self._mi
-        sensor = mi.load_dict(
-            {
-                "type": "perspective",
-                "to_world": mi.ScalarTransform4f(camera.world_from_mitsuba_camera),
-                "fov": float(np.rad2deg(2.0 * np.arctan(0.5 * camera.width / camera.fx))),
-                "fov_axis": "x",
-                "principal_point_offset_x": 0.5 - camera.cx / camera.width,
-                "principal_point_offset_y": 0.5 - camera.cy / camera.height,
-                "film": {
-                    "type": "hdrfilm",
-                    "width": camera.width,
-                    "height": camera.height,
-                    "pixel_format": "rgba",
-                    "rfilter": {"type": "box"},
-                },
-                "sampler": {"type": "multijitter", "sample_count": PATHS, "seed": 0},
-            }
-        )
+        sampler = {"type": "multijitter", "sample_count": PATHS, "seed": 0}
+        sensor = mi.load_dict(perspective_sensor(mi, camera, "rgba", sampler))
         integrator = mi.load_dict({"type": "path", "max_depth": 3, "hide_emitters": True})
         rgba = np.array(mi.render(self._scene, sensor=sensor, integrator=integrator, spp=PATHS))
         return linear_to_srgb(rgba[..., :3]).astype(np.float32)

@@ -90,6 +90,33 @@ def light_picture(illumination: np.ndarray, rows: int = LIGHT_ROWS) -> np.ndarra
     return np.maximum(rest + disc[..., None] * strength, 0.0).astype(np.float32)
 
 
+def perspective_sensor(mi: Any, camera: Camera, pixel_format: str, sampler: dict[str, Any]) -> dict[str, Any]:
+    """Mitsuba's description of a camera with square pixels, each the mean over its area.
+
+    Args:
+        mi: The `mitsuba` module with its variant set.
+        camera: World units.
+        pixel_format: `rgb` or `rgba`.
+        sampler: Its description.
+    """
+    return {
+        "type": "perspective",
+        "to_world": mi.ScalarTransform4f(camera.world_from_mitsuba_camera),
+        "fov": float(np.rad2deg(2.0 * np.arctan(0.5 * camera.width / camera.fx))),
+        "fov_axis": "x",
+        "principal_point_offset_x": 0.5 - camera.cx / camera.width,
+        "principal_point_offset_y": 0.5 - camera.cy / camera.height,
+        "film": {
+            "type": "hdrfilm",
+            "width": camera.width,
+            "height": camera.height,
+            "pixel_format": pixel_format,
+            "rfilter": {"type": "box"},
+        },
+        "sampler": sampler,
+    }
+
+
 class MitsubaScene:
     """A head in a Mitsuba scene.
 
@@ -175,23 +202,7 @@ class MitsubaScene:
             raise ValueError(f"Mitsuba's pixels are square, but fx is {camera.fx} and fy {camera.fy}")
         mi = self._mi
         mi.set_variant(VARIANT)
-        film = {
-            "type": "hdrfilm",
-            "width": camera.width,
-            "height": camera.height,
-            "pixel_format": "rgb",
-            "rfilter": {"type": "box"},
-        }
-        sensor = {
-            "type": "perspective",
-            "to_world": mi.ScalarTransform4f(camera.world_from_mitsuba_camera),
-            "fov": float(np.rad2deg(2.0 * np.arctan(0.5 * camera.width / camera.fx))),
-            "fov_axis": "x",
-            "principal_point_offset_x": 0.5 - camera.cx / camera.width,
-            "principal_point_offset_y": 0.5 - camera.cy / camera.height,
-            "film": film,
-            "sampler": sampler,
-        }
+        sensor = perspective_sensor(mi, camera, "rgb", sampler)
         scheme = mi.load_dict(integrator | {"block_size": BLOCK})
         drawn = mi.render(self._scene, sensor=mi.load_dict(sensor), integrator=scheme, spp=samples, seed=seed)
         return np.array(drawn)

@@ -258,7 +258,6 @@ class BoundTwoStream:
         rays_o, rays_d = camera_rays(camera, grid.reshape(-1, 2)[outline, None] + inside)
         index = torch.from_numpy(outline)
         fine, alpha, _ = self._composited(rays_o, rays_d, names, background[index].repeat_interleave(4, dim=0))
-        features, opacity = features.clone(), opacity.clone()
         features[index] = fine.reshape(len(outline), 4, -1).mean(1)
         opacity[index] = alpha.reshape(-1, 4).mean(1)
         return features, opacity, distance
