@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -9,10 +10,20 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 
+from export.raycast import cast_rays
+from export.repair import close_holes, repair
+from export.triangles import from_pyvista, pieces, signed_volumes, to_pyvista, with_faces, without_collapsed
 from gazenerf.errors import UserError
 
 VOLUME_SHARE = 0.01
 """Change of the enclosed volume that decimation may cause where another way causes less."""
+
+
+LOOKOUTS = 500
+"""Faces of a component from which one looks out."""
+
+DIRECTIONS = np.array([d for d in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
+"""(26, 3) where to."""
 
 
 @dataclass(frozen=True)
@@ -20,7 +31,10 @@ class Cleaning:
     """What to do to a surface, in this order.
 
     Attributes:
+        repair: Make it manifold: repeated faces dropped, sheets that touch along an edge taken apart.
+        seen: Drop connected pieces that cannot be seen from outside.
         components: Connected pieces to keep, those that enclose most; 0 keeps all.
+        holes: Close holes up to this radius, world units; 0 for none.
         smoothing: Rounds of Taubin smoothing, which keeps the volume; 0 for none.
         max_faces: Quadric decimation to at most this many faces; None for no limit.
     """
@@ -28,8 +42,13 @@ class Cleaning:
     components: int = 0
     smoothing: int = 0
     max_faces: int | None = None
+    holes: float = 0.0
+    seen: bool = False
+    repair: bool = False
 
     def __post_init__(self) -> None:
+        if not self.holes >= 0.0:
+            raise UserError(f"the radius of holes to close must be 0 or more, got {self.holes}")
         if not 0 <= self.smoothing <= 200:
             raise UserError(f"--smooth goes from 0 to 200 rounds, got {self.smoothing}")
         if self.max_faces is not None and self.max_faces < 100:
@@ -38,8 +57,14 @@ class Cleaning:
     def steps(self) -> tuple[str, ...]:
         """The names of the steps, for sidecars."""
         named = []
+        if self.repair:
+            named.append("repaired to manifold")
+        if self.seen:
+            named.append("pieces unseen from outside dropped")
         if self.components:
             named.append(f"largest {self.components} component(s) kept")
+        if self.holes:
+            named.append(f"holes up to {self.holes:.3g} units in radius closed")
         if self.smoothing:
             named.append(f"Taubin smoothing, {self.smoothing} rounds")
         if self.max_faces:
@@ -48,8 +73,14 @@ class Cleaning:
 
     def apply(self, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
         """A cleaned copy of a mesh; normals and colours are dropped."""
+        if self.repair:
+            mesh = repair(mesh)
+        if self.seen:
+            mesh = keep_seen(mesh)
         if self.components:
             mesh = keep_largest(mesh, self.components)
+        if self.holes:
+            mesh = close_holes(mesh, self.holes)
         if self.smoothing:
             mesh = smooth(mesh, self.smoothing)
         if self.max_faces:
@@ -59,13 +90,35 @@ class Cleaning:
 
 def keep_largest(mesh: trimesh.Trimesh, count: int) -> trimesh.Trimesh:
     """The `count` connected components with the largest enclosed volume, as one mesh."""
-    pieces = mesh.split(only_watertight=False)
-    if len(pieces) <= count:
+    piece = pieces(mesh)
+    volumes = np.abs(np.bincount(piece, weights=signed_volumes(mesh)))
+    if len(volumes) <= count:
         return mesh
-    order = sorted(pieces, key=lambda piece: abs(float(piece.volume)), reverse=True)[:count]
-    kept = trimesh.util.concatenate(order)
-    assert isinstance(kept, trimesh.Trimesh)
-    return kept
+    return with_faces(mesh, np.isin(piece, np.argsort(-volumes, kind="stable")[:count]))
+
+
+def keep_seen(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The connected components that can be seen from outside.
+
+    Rays leave up to `LOOKOUTS` faces of each component in `DIRECTIONS`; a component stays if one of
+    them meets nothing.
+    """
+    piece = pieces(mesh)
+    order = np.argsort(piece, kind="stable")
+    starts = np.concatenate([[0], np.cumsum(np.bincount(piece))])
+    chosen = np.concatenate(
+        [
+            order[a + np.unique(np.linspace(0, b - a - 1, min(LOOKOUTS, b - a)).astype(int))]
+            for a, b in itertools.pairwise(starts)
+        ]
+    )
+    away = DIRECTIONS / np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
+    rays_d = np.tile(away, (len(chosen), 1))
+    centres = np.asarray(mesh.vertices)[np.asarray(mesh.faces)[chosen]].mean(axis=1)
+    rays_o = np.repeat(centres, len(away), axis=0) + 1e-5 * float(np.linalg.norm(mesh.extents)) * rays_d
+    free = np.isnan(cast_rays(mesh, rays_o, rays_d))
+    seen = np.unique(np.repeat(piece[chosen], len(away))[free])
+    return mesh if len(seen) == len(starts) - 1 else with_faces(mesh, np.isin(piece, seen))
 
 
 def smooth(mesh: trimesh.Trimesh, rounds: int) -> trimesh.Trimesh:
@@ -142,29 +195,3 @@ def _decimated_by_open3d(mesh: trimesh.Trimesh, max_faces: int) -> trimesh.Trime
     surface = o3d.geometry.TriangleMesh(vertices, o3d.utility.Vector3iVector(np.asarray(mesh.faces, dtype=np.int32)))
     fewer = surface.simplify_quadric_decimation(max_faces)
     return without_collapsed(trimesh.Trimesh(np.asarray(fewer.vertices), np.asarray(fewer.triangles), process=False))
-
-
-def to_pyvista(mesh: trimesh.Trimesh):
-    """Geometry as `pyvista.PolyData`."""
-    import pyvista as pv
-
-    faces = np.concatenate([np.full((len(mesh.faces), 1), 3), mesh.faces], axis=1)
-    return pv.PolyData(np.asarray(mesh.vertices), faces.ravel())
-
-
-def from_pyvista(surface) -> trimesh.Trimesh:
-    """Triangles of a `pyvista.PolyData`, vertices merged."""
-    faces = np.asarray(surface.faces).reshape(-1, 4)[:, 1:]
-    return without_collapsed(trimesh.Trimesh(np.asarray(surface.points, dtype=np.float64), faces, process=False))
-
-
-def without_collapsed(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """Vertices at one place merged and faces with a repeated vertex dropped, in place.
-
-    Thin faces stay: dropping one would open a hole.
-    """
-    mesh.merge_vertices()
-    a, b, c = np.asarray(mesh.faces).T
-    mesh.update_faces((a != b) & (b != c) & (c != a))
-    mesh.remove_unreferenced_vertices()
-    return mesh

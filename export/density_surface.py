@@ -10,15 +10,18 @@ import torch
 import trimesh
 
 from export.cleaning import keep_largest
-from export.densities import DensityGrid, fill_enclosed, sample_density
+from export.densities import DensityGrid, extent, fill_enclosed, sample_density
 from export.isosurface import isosurface
-from export.refine import refine_density
+from export.refine import refine_density, refine_grid
 from export.threshold import CANDIDATES, Threshold, choose_threshold
 from gazenerf.errors import UserError
 from gazenerf.field.interface import BoundField, Part
 
 JUDGING_RESOLUTION = 96
 """Grid points along the longest side while a threshold is chosen."""
+
+PROBE = 64
+"""Grid points along the longest side while the eyes are looked for."""
 
 KEPT_COMPONENTS = {"face": 1, "eyes": 2, "head": 3}
 
@@ -75,6 +78,8 @@ def density_surface(
         UserError: impossible resolution, an empty volume, or no surface at the threshold.
     """
     box, queries = part_box(bound, part)
+    sockets, more = _sockets(bound, box) if part == "face" else (None, 0)
+    queries += more
 
     def volumes(side: int, levels: tuple[float, float], dense: bool) -> tuple[DensityGrid, DensityGrid | None]:
         told = _staged(tell, f"{part} density")
@@ -83,7 +88,7 @@ def density_surface(
             if dense
             else refine_density(bound, part, box, side, levels, progress=told)
         )
-        return own, refine_density(bound, "eyes", box, side, levels) if part == "face" and has_eyes(bound) else None
+        return own, None if sockets is None else _within(bound, own, sockets, levels)
 
     level = _fixed_level(threshold)
     if level is not None:
@@ -102,9 +107,30 @@ def density_surface(
     solid = grid if part == "eyes" else fill_enclosed(grid, other, chosen.level)
     steps = ["every grid point's density" if dense else "coarse-to-fine density"]
     steps += [*(() if part == "eyes" else ("enclosed space filled",)), method.replace("-", " ")]
+    shape, spacing, volume = grid.values.shape, grid.spacing, grid if dense else None
+    del grid, other
     mesh = isosurface(solid, chosen.level, method)
-    volume = grid if dense else None
-    return Surface(mesh, grid.values.shape, grid.spacing, queries, tuple(steps), chosen, volume)
+    return Surface(mesh, shape, spacing, queries, tuple(steps), chosen, volume)
+
+
+def _sockets(bound: BoundField, box: np.ndarray) -> tuple[np.ndarray | None, int]:
+    """The part of a box (2, 3) where the eyes are, None where there are none; how many points that took."""
+    if not has_eyes(bound):
+        return None, 1
+    try:
+        eyes, queries = part_box(bound, "eyes")
+    except EmptyEyes as empty:
+        return None, empty.queries
+    return np.stack([np.maximum(eyes[0], box[0]), np.minimum(eyes[1], box[1])]), queries
+
+
+def _within(bound: BoundField, face: DensityGrid, box: np.ndarray, levels: tuple[float, float]) -> DensityGrid:
+    """The eyes' density at the points of the face's grid that lie in a box (2, 3) and one more on each side."""
+    ends = (box - face.origin) / face.spacing
+    first = np.maximum(np.floor(ends[0]).astype(int), 0)
+    last = np.minimum(np.ceil(ends[1]).astype(int), np.array(face.values.shape) - 1)
+    nx, ny, nz = (int(n) for n in last - first + 1)
+    return refine_grid(bound, "eyes", face.origin + face.spacing * first, (nx, ny, nz), face.spacing, levels)
 
 
 def _staged(tell: Tell, stage: str) -> Callable[[int, int], None]:
@@ -132,20 +158,31 @@ def has_eyes(bound: BoundField) -> bool:
     return True
 
 
+class EmptyEyes(UserError):
+    """The eyes volume is empty.
+
+    Attributes:
+        queries: How many points it took to find out.
+    """
+
+    def __init__(self, queries: int) -> None:
+        super().__init__("the eyes volume is empty; train longer or export --parts face")
+        self.queries = queries
+
+
 def part_box(bound: BoundField, part: Part) -> tuple[np.ndarray, int]:
     """The field's box; for the eyes the smallest box around their density, so that it is sampled finely.
 
     Also how many points that took.
 
     Raises:
-        UserError: there are no eyes.
+        EmptyEyes: there are no eyes.
     """
     if part != "eyes":
         return bound.box, 0
-    probe = refine_density(bound, "eyes", bound.box, 64, (0.5, np.inf))
-    found = np.argwhere(probe.values > 0.5)
-    if not len(found):
-        raise UserError("the eyes volume is empty; train longer or export --parts face")
-    margin = 2 * probe.spacing
-    corners = probe.origin + probe.spacing * np.stack([found.min(0), found.max(0)])
-    return corners + np.array([[-margin], [margin]]), probe.queries
+    probe = refine_density(bound, "eyes", bound.box, PROBE, (0.5, np.inf))
+    low, high = extent(probe.values > 0.5)
+    if not high.any():
+        raise EmptyEyes(probe.queries)
+    corners = probe.origin + probe.spacing * np.stack([low - 2, high + 1])
+    return corners, probe.queries

@@ -15,6 +15,7 @@ from export.gltf import Node, Texture, glb
 from export.obj import material, textured_obj
 from export.points import write_points
 from export.texture import TexturedMesh
+from export.usd import usdz
 from export.volumes import write_volume
 from gazenerf import __version__
 from gazenerf.field.interface import BoundField
@@ -22,7 +23,10 @@ from gazenerf.field.interface import BoundField
 if TYPE_CHECKING:
     from export.meshes import PartMesh
 
-FORMATS = ("glb", "ply", "obj", "stl")
+FORMATS = ("glb", "ply", "obj", "stl", "usdz")
+
+TEXTURED = ("glb", "obj", "usdz")
+"""Formats that carry a texture."""
 
 
 def in_metres(mesh: trimesh.Trimesh, metres_per_unit: float) -> trimesh.Trimesh:
@@ -71,6 +75,8 @@ def write_part(
         path = folder / f"{name}.{kind}"
         if kind == "glb":
             path.write_bytes(glb(_node(extracted, mesh, metres, png)))
+        elif kind == "usdz":
+            path.write_bytes(usdz(_node(extracted, mesh, metres, png)))
         elif kind == "ply":
             mesh.export(path, file_type="ply", vertex_normal=True)
         elif kind == "stl":  # slicers read its numbers as millimetres
@@ -146,6 +152,8 @@ def sidecar(extracted: PartMesh, bound: BoundField) -> dict[str, Any]:
         "vertices": len(mesh.vertices),
         "faces": len(mesh.faces),
         "watertight": bool(mesh.is_watertight),
+        "components": int(mesh.body_count),
+        "self_intersecting_faces": extracted.self_intersections,
         "bounds_metres": (np.asarray(mesh.bounds) * metres).tolist(),
     }
     if extracted.volume is not None:

@@ -1,4 +1,4 @@
-"""Binary glTF 2.0: coloured or textured nodes in a hierarchy, and rotations that move them.
+"""Binary glTF 2.0: coloured or textured nodes in a hierarchy, and rotations and morphs that move them.
 
 trimesh writes static scenes with 8-bit colours; a rig needs animation, and 8 linear bits band in
 dark skin. Colours are written as 16-bit linear values.
@@ -37,6 +37,21 @@ class Texture:
 
 
 @dataclass(frozen=True)
+class Morph:
+    """A shape that a mesh can be blended into (a morph target).
+
+    Attributes:
+        name: Its name.
+        offsets: (V, 3) from the mesh's vertices, metres; mostly zero.
+        normals: (V, 3) change of the mesh's unit normals.
+    """
+
+    name: str
+    offsets: np.ndarray
+    normals: np.ndarray
+
+
+@dataclass(frozen=True)
 class Node:
     """A node of a scene, metres.
 
@@ -48,6 +63,7 @@ class Node:
         rotation: Quaternion x, y, z, w.
         roughness: Of the material; metallic is always 0.
         children: Nodes below.
+        morphs: Shapes of the mesh, none of which is blended in at rest.
     """
 
     name: str
@@ -57,21 +73,24 @@ class Node:
     roughness: float = 0.8
     children: tuple[Node, ...] = ()
     texture: Texture | None = None
+    morphs: tuple[Morph, ...] = ()
 
 
 @dataclass(frozen=True)
 class Animation:
-    """Rotations of nodes over time.
+    """Rotations of nodes and blends of their morphs over time.
 
     Attributes:
         name: Its name.
         times: (T,) seconds, ascending.
         rotations: Node name to (T, 4) quaternions x, y, z, w.
+        weights: Node name to (T, M) shares of its M morphs.
     """
 
     name: str
     times: np.ndarray
     rotations: dict[str, np.ndarray]
+    weights: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass
@@ -98,6 +117,25 @@ class _Writer:
         self.tree["accessors"].append(entry)
         return len(self.tree["accessors"]) - 1
 
+    def sparse(self, values: np.ndarray) -> int:
+        """Append (V, 3) values that are mostly zero; their accessor's index."""
+        rows = np.flatnonzero(np.any(values != 0.0, axis=1))
+        rows = rows if len(rows) else np.array([0])
+        entry = {
+            "componentType": FLOAT,
+            "count": len(values),
+            "type": "VEC3",
+            "min": values.min(axis=0).tolist(),
+            "max": values.max(axis=0).tolist(),
+            "sparse": {
+                "count": len(rows),
+                "indices": {"bufferView": self.view(rows.astype("<u4").tobytes()), "componentType": UINT32},
+                "values": {"bufferView": self.view(values[rows].tobytes())},
+            },
+        }
+        self.tree["accessors"].append(entry)
+        return len(self.tree["accessors"]) - 1
+
     def view(self, data: bytes, target: int | None = None) -> int:
         """Append bytes to the buffer, on a boundary of four; their view's index."""
         self.data.extend(b"\0" * (-len(self.data) % 4))
@@ -118,8 +156,10 @@ class _Writer:
         self.tree["textures"].append({"sampler": 0, "source": len(self.tree["images"]) - 1})
         return len(self.tree["textures"]) - 1
 
-    def mesh(self, mesh: trimesh.Trimesh, name: str, roughness: float, texture: Texture | None) -> int:
-        """Append a mesh; its index."""
+    def mesh(self, node: Node) -> int:
+        """Append the mesh of a node; its index."""
+        mesh, name, texture = node.mesh, node.name, node.texture
+        assert mesh is not None
         normals = np.asarray(mesh.vertex_normals, dtype=np.float64)
         normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
         attributes = {
@@ -128,7 +168,7 @@ class _Writer:
             ),
             "NORMAL": self.accessor(normals.astype("<f4"), FLOAT, "VEC3", target=VERTICES),
         }
-        look: dict[str, Any] = {"metallicFactor": 0.0, "roughnessFactor": roughness}
+        look: dict[str, Any] = {"metallicFactor": 0.0, "roughnessFactor": node.roughness}
         colours = vertex_colours(mesh)
         if texture is not None:
             uv = np.asarray(texture.uv, dtype="<f4")
@@ -143,14 +183,27 @@ class _Writer:
         indices = self.accessor(np.asarray(mesh.faces, dtype="<u4").reshape(-1), UINT32, "SCALAR", target=INDICES)
         self.tree["materials"].append({"name": name, "pbrMetallicRoughness": look})
         primitive = {"attributes": attributes, "indices": indices, "material": len(self.tree["materials"]) - 1}
-        self.tree["meshes"].append({"name": name, "primitives": [primitive]})
+        entry: dict[str, Any] = {"name": name, "primitives": [primitive]}
+        if node.morphs:
+            primitive["targets"] = [
+                {
+                    "POSITION": self.sparse(morph.offsets.astype("<f4")),
+                    "NORMAL": self.sparse(morph.normals.astype("<f4")),
+                }
+                for morph in node.morphs
+            ]
+            entry |= {
+                "weights": [0.0] * len(node.morphs),
+                "extras": {"targetNames": [morph.name for morph in node.morphs]},
+            }
+        self.tree["meshes"].append(entry)
         return len(self.tree["meshes"]) - 1
 
     def node(self, node: Node) -> int:
         """Append a node and those below; its index."""
         entry: dict[str, Any] = {"name": node.name}
         if node.mesh is not None:
-            entry["mesh"] = self.mesh(node.mesh, node.name, node.roughness, node.texture)
+            entry["mesh"] = self.mesh(node)
         if any(node.translation):
             entry["translation"] = [float(value) for value in node.translation]
         if tuple(node.rotation) != IDENTITY:
@@ -165,10 +218,12 @@ class _Writer:
         names = [node["name"] for node in self.tree["nodes"]]
         time = self.accessor(animation.times.astype("<f4"), FLOAT, "SCALAR", limits=True)
         entry: dict[str, Any] = {"name": animation.name, "samplers": [], "channels": []}
-        for name, rotation in animation.rotations.items():
-            output = self.accessor(rotation.astype("<f4"), FLOAT, "VEC4")
+        moved = [(name, "rotation", turns, "VEC4") for name, turns in animation.rotations.items()]
+        moved += [(name, "weights", shares.reshape(-1), "SCALAR") for name, shares in animation.weights.items()]
+        for name, path, values, kind in moved:
+            output = self.accessor(values.astype("<f4"), FLOAT, kind)
             entry["channels"].append(
-                {"sampler": len(entry["samplers"]), "target": {"node": names.index(name), "path": "rotation"}}
+                {"sampler": len(entry["samplers"]), "target": {"node": names.index(name), "path": path}}
             )
             entry["samplers"].append({"input": time, "output": output, "interpolation": "LINEAR"})
         return entry

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from export.cleaning import without_collapsed
-from export.densities import DensityGrid
+from export.densities import DensityGrid, extent
+from export.triangles import signed_volumes, without_collapsed
 from gazenerf.errors import UserError
 
 METHODS = ("flying-edges", "lewiner")
@@ -37,28 +37,35 @@ def isosurface(grid: DensityGrid, level: float, method: str = "flying-edges") ->
         raise UserError(
             f"no surface at density {level:g}: the largest is {values.max():.3g} and {known}; lower --threshold"
         )
-    padded = np.pad(values, 1)
-    origin = grid.origin - grid.spacing
+    low, values = _around(values, level)
+    origin = grid.origin + grid.spacing * low
     if method == "flying-edges":
-        vertices, faces = _flying_edges(padded, origin, grid.spacing, level)
+        places, faces = _flying_edges(values, level)
     else:
         from skimage.measure import marching_cubes
 
-        vertices, faces, _, _ = marching_cubes(padded, level, spacing=(grid.spacing,) * 3, gradient_direction="ascent")
-        vertices = vertices + origin
+        places, faces, _, _ = marching_cubes(values, level, gradient_direction="ascent")
+    vertices = origin + grid.spacing * places.astype(np.float64)
     mesh = without_collapsed(trimesh.Trimesh(vertices, faces, process=False))
-    if mesh.volume < 0:
+    if signed_volumes(mesh).sum() < 0:
         mesh.invert()
     return mesh
 
 
-def _flying_edges(
-    values: np.ndarray, origin: np.ndarray, spacing: float, level: float
-) -> tuple[np.ndarray, np.ndarray]:
+def _around(values: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarray]:
+    """What exceeds a level and one point more on every side, 0 beyond the border; index of its first point."""
+    low, high = extent(values > level)
+    inner = values[tuple(slice(max(a - 1, 0), b + 1) for a, b in zip(low, high, strict=True))]
+    beyond = [(int(a == 0), int(b == n)) for a, b, n in zip(low, high, values.shape, strict=True)]
+    return low - 1, np.ascontiguousarray(np.pad(inner, beyond) if np.any(beyond) else inner)
+
+
+def _flying_edges(values: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices in steps from the first point, and faces."""
     import pyvista as pv
 
-    image = pv.ImageData(dimensions=values.shape, spacing=(spacing,) * 3, origin=tuple(origin))
-    image.point_data["density"] = values.ravel(order="F")
+    image = pv.ImageData(dimensions=values.shape[::-1])
+    image.point_data["density"] = values.ravel()  # x fastest for VTK: z here, and no copy
     surface = image.contour([level], scalars="density", method="flying_edges", compute_normals=False)
-    faces = np.asarray(surface.faces).reshape(-1, 4)[:, 1:]
-    return np.asarray(surface.points, dtype=np.float64), faces.copy()
+    faces = np.asarray(surface.faces).reshape(-1, 4)[:, :0:-1]
+    return np.asarray(surface.points)[:, ::-1], faces.copy()

@@ -15,6 +15,7 @@ from export.density_surface import KEPT_COMPONENTS, Surface, density_surface, pa
 from export.fused_surface import SURFACES, fused_surface
 from export.normals import density_normals
 from export.points import PointCloud, check_points, sample_points
+from export.repair import self_intersections
 from export.texture import MAX_FACES, TexturedMesh, bake_texture, check_texture
 from export.threshold import Threshold
 from gazenerf.errors import UserError
@@ -38,6 +39,7 @@ class PartMesh:
         volume: Its density, world units; None where it was not asked for.
         points: Points on it, world units; None where they were not asked for.
         textured: The mesh cut along seams, with its texture; None where it was not asked for.
+        self_intersections: Faces that an edge of another one pierces; None where that could not be counted.
     """
 
     part: Part
@@ -50,6 +52,7 @@ class PartMesh:
     volume: DensityGrid | None = None
     points: PointCloud | None = None
     textured: TexturedMesh | None = None
+    self_intersections: int | None = None
 
 
 def extract_part(
@@ -60,6 +63,9 @@ def extract_part(
     threshold: str | float = "auto",
     method: str = "flying-edges",
     surface: str = "isosurface",
+    repair: bool = False,
+    seen: bool = False,
+    holes_mm: float = 0.0,
     smoothing: int = 0,
     max_faces: int | None = None,
     colours: bool = True,
@@ -77,6 +83,9 @@ def extract_part(
         threshold: `auto`, a density, or a percentile such as `p50`; isosurfaces only.
         method: One of `export.isosurface.METHODS`; isosurfaces only.
         surface: One of `export.fused_surface.SURFACES`.
+        repair: Make the surface manifold.
+        seen: Drop pieces that cannot be seen from outside.
+        holes_mm: Close holes up to this radius, millimetres.
         smoothing: Rounds of Taubin smoothing.
         max_faces: Decimate to at most so many faces; `export.texture.MAX_FACES` where None and a
             texture is asked for.
@@ -98,7 +107,14 @@ def extract_part(
     if texture is not None:
         check_texture(texture)
         max_faces = MAX_FACES if max_faces is None else max_faces
-    cleaning = Cleaning(KEPT_COMPONENTS[part], smoothing, max_faces)
+    cleaning = Cleaning(
+        KEPT_COMPONENTS[part],
+        smoothing,
+        max_faces,
+        holes=holes_mm / (1000.0 * bound.metres_per_unit),
+        seen=seen,
+        repair=repair,
+    )
     grid_shape(bound.box, resolution)
 
     def tell(stage: str, done: int, total: int) -> None:
@@ -151,5 +167,15 @@ def _finished(
         textured = bake_texture(mesh, pictures, texture)
         steps.append(f"texture of {texture} from rendered views ({textured.seen:.0%} of the texels seen)")
     return PartMesh(
-        part, mesh, found.threshold, found.grid, found.spacing, found.queries, tuple(steps), volume, cloud, textured
+        part,
+        mesh,
+        found.threshold,
+        found.grid,
+        found.spacing,
+        found.queries,
+        tuple(steps),
+        volume,
+        cloud,
+        textured,
+        self_intersections(mesh),
     )

@@ -7,7 +7,7 @@ import torch
 
 from gazenerf.field.interface import BoundField, Part
 
-CHUNK = 2**16
+CHUNK = 2**13
 
 
 def density_normals(

@@ -11,6 +11,7 @@ import trimesh
 from PIL import Image
 
 from export.colours import PartPicture, blend_colours
+from export.densities import MEMORY_SHARE, available_memory
 from gazenerf.errors import UserError
 
 SIZES = (1024, 2048, 4096)
@@ -55,10 +56,20 @@ class TexturedMesh:
         return buffer.getvalue()
 
 
+BYTES_A_TEXEL = 140
+"""Peak bytes a texel while a texture is painted (measured, rounded up)."""
+
+
 def check_texture(size: int) -> None:
-    """Raise UserError where a texture cannot have a size."""
+    """Raise UserError where a texture cannot have a size, or would not fit in memory."""
     if size not in SIZES:
         raise UserError(f"--texture is {', '.join(map(str, SIZES[:-1]))} or {SIZES[-1]}, got {size}")
+    needed, there = size * size * BYTES_A_TEXEL, available_memory()
+    if needed > MEMORY_SHARE * there:
+        raise UserError(
+            f"a texture of {size} needs about {needed / 2**30:.1f} GiB, {there / 2**30:.1f} GiB are free; "
+            "give a smaller --texture"
+        )
 
 
 def bake_texture(mesh: trimesh.Trimesh, pictures: list[PartPicture], size: int) -> TexturedMesh:

@@ -15,13 +15,18 @@ from gazenerf.cli.main import main
 from gazenerf.field.analytic import AnalyticField
 
 
+class Scene:
+    """Binds the analytic field."""
+
+    def bind(self, subject, gaze):
+        return AnalyticField(gaze, sharpness=0.2)
+
+
 @pytest.fixture
 def analytic(monkeypatch):
     """The command meshes the analytic field."""
     monkeypatch.setattr(export.colours, "PICTURE", 96)
-    monkeypatch.setattr(
-        "gazenerf.cli.common.load_bound_factory", lambda args: (None, lambda gaze: AnalyticField(gaze, sharpness=0.2))
-    )
+    monkeypatch.setattr("gazenerf.cli.views.load_scene", lambda args: (Scene(), None))
 
 
 def parsed(*words: str) -> argparse.Namespace:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from scipy.ndimage import gaussian_filter, label
 
 from export import extract_part, mesh_subject
 from export.densities import DensityGrid, fill_enclosed, grid_shape, sample_density
@@ -82,6 +83,46 @@ def test_caves_are_filled_but_eye_sockets_are_not():
     filled = fill_enclosed(grid, DensityGrid(socket, grid.origin, 0.05, 0), 5.0)
     assert filled.values[20, 20, 20] > 5.0
     assert filled.values[21, 21, 36] == 0.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_filling_cut_down_grids_is_filling_whole_ones(seed):
+    """A reference on whole grids; the eyes have a smaller grid of their own."""
+    rng = np.random.default_rng(seed)
+    face, eyes = (gaussian_filter(rng.normal(size=(30, 34, 28)), 1.5) for _ in range(2))
+    face = (face / face.std() + 0.8).astype(np.float32)
+    face[:4], face[25:], face[:, :3] = -1.0, -1.0, -1.0
+    face[:, :, :5] = -1.0 if seed % 2 else face[:, :, :5]  # else it leaves the box
+    whole = np.zeros_like(face)
+    low, high = np.array([6, 5, 8]), np.array([20, 22, 24])
+    window = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+    whole[window] = (eyes / eyes.std())[window]
+    wall = (face > 0.4) | (whole > 0.4)
+    spaces, _ = label(~wall)
+    rim = np.ones_like(wall)
+    rim[1:-1, 1:-1, 1:-1] = False
+    expected = np.where(~wall & ~np.isin(spaces, np.unique(spaces[rim & ~wall])), np.float32(0.8), face)
+    grid = DensityGrid(face, np.array([0.5, -1.0, 2.0]), 0.1, 7)
+    beside = DensityGrid(whole[window], grid.origin + 0.1 * low, 0.1, 3)
+    filled = fill_enclosed(grid, beside, 0.4)
+    assert filled.values.size < face.size
+    meshes = isosurface(filled, 0.4), isosurface(DensityGrid(expected, grid.origin, 0.1, 7), 0.4)
+    assert meshes[0].is_watertight and len(meshes[0].faces) == len(meshes[1].faces)
+    a, b = (mesh.vertices[np.lexsort(np.round(mesh.vertices, 4).T)] for mesh in meshes)
+    assert np.abs(a - b).max() < 1e-5
+    assert (expected != face).any()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_both_isosurfaces_enclose_the_same_and_face_outward(seed):
+    noise = gaussian_filter(np.random.default_rng(seed).normal(size=(24, 30, 36)), 2.5)
+    grid = DensityGrid((noise / noise.std()).clip(0).astype(np.float32), np.array([1.0, 2.0, 3.0]), 0.1, 0)
+    one, other = (isosurface(grid, 0.5, method) for method in METHODS)
+    assert one.is_watertight and other.is_watertight
+    assert one.volume == pytest.approx(other.volume, rel=0.01) and one.volume > 0
+    assert np.allclose(one.bounds, other.bounds, atol=1e-5)
+    inside = int((grid.values > 0.5).sum()) * 0.1**3
+    assert one.volume == pytest.approx(inside, rel=0.1)
 
 
 def test_files_reload_alike_in_metres_with_a_sidecar(bound, tmp_path):

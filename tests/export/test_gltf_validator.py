@@ -50,9 +50,10 @@ def bind(gaze):
 def test_no_errors_and_no_warnings(validate, tmp_path, monkeypatch, texture):
     monkeypatch.setattr(export.colours, "PICTURE", 96)
     settings = {"resolution": 40, "threshold": 100.0, "formats": ("glb",), "texture": texture}
-    mesh_subject(bind(Gaze()), tmp_path, bind=bind, **settings)
-    for name in ("face.glb", "eyes.glb", "rig.glb"):
+    gazes = [Gaze.from_degrees(0.0, 10.0), Gaze.from_degrees(10.0, 0.0)]
+    mesh_subject(bind(Gaze()), tmp_path, bind=bind, sequence=gazes, **settings)
+    for name in ("face.glb", "eyes.glb", "rig.glb", "sequence.glb"):
         report = validate(tmp_path / name)
         assert report["issues"]["messages"] == [], name
         assert report["issues"]["numErrors"] == report["issues"]["numWarnings"] == 0
-        assert report["info"]["hasTextures"] == (texture is not None)
+        assert report["info"]["hasTextures"] == (texture is not None or name in ("rig.glb", "sequence.glb"))

@@ -6,13 +6,13 @@ import inspect
 
 import pytest
 
-from export import mesh_subject
+from export import extract_part, mesh_subject
 from export.presets import DEFAULTS, PRESETS, RIGGED, settings
 from gazenerf.errors import UserError
 
 
 def test_presets_speak_the_language_of_mesh_subject():
-    known = inspect.signature(mesh_subject).parameters
+    known = {**inspect.signature(mesh_subject).parameters, **inspect.signature(extract_part).parameters}
     assert set(DEFAULTS) <= set(known) and all(set(preset) <= set(DEFAULTS) for preset in PRESETS.values())
     assert set(RIGGED) <= set(PRESETS)
     assert {name: known[name].default for name in DEFAULTS} == DEFAULTS

@@ -10,8 +10,10 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from export import extract_part, mesh_subject
+from export.eyeball_texture import directions_of, eyeball_mesh, textured_eyeball
 from export.gltf import Animation, Node, glb
-from export.rig import SWEEP, colour_eyeball, fit_eyeballs, fit_sphere, quaternion, rig
+from export.rig import SWEEP, quaternion, rig
+from export.sphere_fit import fit_eyeballs, fit_sphere
 from gazenerf.errors import UserError
 from gazenerf.field.analytic import AnalyticField
 from gazenerf.geometry import Gaze
@@ -65,20 +67,33 @@ def test_fitted_eyes_are_the_analytic_spheres(parts):
         assert eye.covered > 0.95
 
 
-def test_eyeball_has_its_iris_at_the_pole_whatever_gazes_coloured_it(parts):
+def test_eyeball_is_a_closed_sphere_whose_texture_has_one_place_for_each_point():
+    mesh, uv = eyeball_mesh(0.12)
+    assert np.allclose(np.linalg.norm(mesh.vertices, axis=1), 0.12)
+    disc = (uv - 0.5) * [2.0, -2.0]
+    assert np.abs(directions_of(disc) * 0.12 - mesh.vertices).max() < 1e-6
+    a, b = np.diff(uv[mesh.faces], axis=1).transpose(1, 2, 0)
+    assert (a[0] * b[1] - a[1] * b[0] < 0).all()
+    mesh.merge_vertices(merge_norm=True)
+    assert mesh.is_watertight and mesh.volume == pytest.approx(4 / 3 * np.pi * 0.12**3, rel=0.01)
+
+
+@pytest.mark.parametrize("gazes", [[(0.0, 0.0)], [(0.0, 25.0), (15.0, 0.0)]])
+def test_eyeball_has_its_iris_at_the_pole_whatever_gazes_coloured_it(parts, gazes):
     eye = fit_eyeballs(parts["eyes"])[0]
-    for gazes in ([(0.0, 0.0)], [(0.0, 25.0), (15.0, 0.0)]):
-        ball = colour_eyeball(bind, eye, gazes)
-        look = np.asarray(ball.vertices)[:, 2] / eye.radius
-        colours = np.asarray(ball.visual.vertex_colors)[:, 0]
-        assert ball.is_watertight and ball.volume > 0
-        assert colours[look > 0.95].mean() < 60 < 180 < colours[(look < 0.7) & (look > 0.3)].mean()
-        assert colours[look < -0.5].mean() > 180
+    ball = textured_eyeball(bind, eye, gazes)
+    place = np.minimum((ball.uv * len(ball.image)).astype(int), len(ball.image) - 1)
+    colours = ball.image[place[:, 1], place[:, 0], 0].astype(float)
+    look = np.asarray(ball.mesh.vertices)[:, 2] / eye.radius
+    assert colours[look > 0.95].mean() < 60 < 180 < colours[(look < 0.7) & (look > 0.3)].mean()
+    assert colours[look < -0.5].mean() > 180
+    assert 0.05 < ball.seen < 0.9
 
 
 def test_rig_turns_each_eye_about_its_centre(parts, tmp_path):
     gaze = Gaze.from_degrees(10.0, 20.0)
-    data, facts = rig(bind, gaze, parts["face"], parts["eyes"])
+    scene = rig(bind, gaze, parts["face"], parts["eyes"])
+    data, facts = glb(scene.root, scene.clips), scene.facts
     tree, binary = parsed(data)
     nodes = {node["name"]: node for node in tree["nodes"]}
     assert set(nodes) == {"head", "face", "eye_left", "eye_right"}
@@ -98,8 +113,10 @@ def test_rig_turns_each_eye_about_its_centre(parts, tmp_path):
     assert facts["eye_left"]["radius_mm"] == pytest.approx(12.0, abs=0.1)
     path = tmp_path / "rig.glb"
     path.write_bytes(data)
-    scene = trimesh.load(path)
-    assert np.allclose(scene.bounds[:, 1], parts["face"].bounds[:, 1] * 0.1, atol=1e-5)
+    loaded = trimesh.load(path)
+    assert np.allclose(loaded.bounds[:, 1], parts["face"].bounds[:, 1] * 0.1, atol=1e-5)
+    for name in ("eye_left", "eye_right"):
+        assert loaded.geometry[name].visual.material.baseColorTexture.size == (512, 512)
 
 
 def test_every_accessor_lies_in_the_buffer_on_its_boundary(parts):
