@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
+import warnings
 from contextlib import nullcontext
 
 import numpy as np
@@ -60,6 +61,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     look.add_argument("--no-labels", action="store_true", help="do not name the panels in the picture")
     look.add_argument("--geometry-size", type=int, metavar="PX", help="width behind depth, opacity and normals panels")
     look.add_argument("--fps", type=float, default=30.0, metavar="N", help="frames a second (default: 30)")
+    look.add_argument(
+        "--speed",
+        default="auto",
+        metavar="PATH",
+        help="exact (every sample), guided (around the surface), baked (interpolated, checked against guided), "
+        "or auto: baked from 16 frames on (default: auto)",
+    )
     look.add_argument("--crf", type=int, default=17, metavar="N", help="H.264 quality, 0 best to 51 (default: 17)")
 
 
@@ -68,7 +76,6 @@ def run(args: argparse.Namespace) -> int:
     from gazenerf.cli.common import progress
     from gazenerf.cli.views import (
         beyond_training,
-        binder,
         counted,
         eye_midpoint,
         gaze_limits,
@@ -77,6 +84,7 @@ def run(args: argparse.Namespace) -> int:
         say,
         warn,
     )
+    from gazenerf.field.speed import choose_path
     from viz.head_picture import head_pictures
     from viz.orbit import frame_size, orbit_sidecar, render_orbit, sidecar_path, write_sidecar
     from viz.panels import check_panels
@@ -93,7 +101,6 @@ def run(args: argparse.Namespace) -> int:
         raise UserError(f"unknown gaze path {name!r}; choose {', '.join(GAZE_PATHS)}")
 
     field, subject = load_scene(args)
-    bind = binder(field, subject)
     limits = gaze_limits(field)
     given = [Gaze.from_degrees(pitch, yaw) for pitch, yaw in args.gaze]
     eyes = eye_midpoint(subject) if name == "look-at-camera" else np.zeros(3)
@@ -101,9 +108,14 @@ def run(args: argparse.Namespace) -> int:
     if note := beyond_training(field, gazes):
         warn(note)
     started = time.perf_counter()
+    with warnings.catch_warnings(record=True) as notes:
+        warnings.simplefilter("always")
+        path = choose_path(field, subject, cameras, gazes, args.speed)
+    for note in notes:
+        warn(str(note.message))
     with head_pictures(subject, (args.size, args.size)) if "reference" in args.panels else nullcontext() as reference:
         frames = render_orbit(
-            bind,
+            path.bind,
             cameras,
             gazes,
             args.panels,
@@ -115,20 +127,21 @@ def run(args: argparse.Namespace) -> int:
         with progress("rendering", len(cameras)) as advance:
             files = write_video(args.out, counted(frames, advance), args.fps, args.crf)
     seconds = time.perf_counter() - started
-    about = {"camera_path": args.camera_path, "gaze_path": name, "width": width, "height": height}
-    bound = bind(gazes[0])
+    about = {"camera_path": args.camera_path, "gaze_path": name, "width": width, "height": height, "speed": path.name}
+    bound = path.bind(gazes[0])
     sidecar = orbit_sidecar(bound, cameras, gazes, panels=args.panels, fps=args.fps, about=about)
-    notes = write_sidecar(args.out, sidecar)
-    assert notes == sidecar_path(args.out)
+    written = write_sidecar(args.out, sidecar)
+    assert written == sidecar_path(args.out)
     say(
         f"orbit of {subject.name}",
         {
             "video" if len(files) == 1 else "pictures": files[0]
             if len(files) == 1
             else f"{files[0]} .. {files[-1].name}",
-            "sidecar": notes,
+            "sidecar": written,
             "frames": f"{len(cameras)} of {width}x{height}, {len(cameras) / args.fps:.1f} s at {args.fps:g} fps",
             "size": f"{sum(file.stat().st_size for file in files) / 1024:,.0f} KiB",
+            "path": path.describe(),
             "rendered in": f"{seconds:.1f} s, {len(cameras) / seconds:.2f} frames/s",
         },
     )

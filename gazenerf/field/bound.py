@@ -11,19 +11,25 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cached_property
+from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 import torch
+import torch.nn.functional as F
 
 from gazenerf.errors import UserError
-from gazenerf.field.compositing import composite, composite_joint
+from gazenerf.field.compositing import EPSILON, composite, composite_joint
+from gazenerf.field.feature_map import Composited, FeatureGrid, Window, to_picture
 from gazenerf.field.interface import OPACITY_FLOOR, PARTS, GeometryView, Part, RenderedView
 from gazenerf.field.model import TwoStreamField
 from gazenerf.field.occupancy import Occupancy, first_surface
 from gazenerf.field.sampling import ray_samples, shell_samples, slab_samples
+from gazenerf.field.upsampler import Upsampler
 from gazenerf.geometry import Camera, Gaze, camera_rays
 from gazenerf.subjects import Subject
+
+if TYPE_CHECKING:
+    from gazenerf.field.baked import BakedHead
 
 GUIDED_BOX = ((-1.5, -1.7, -1.5), (1.5, 1.5, 1.5))
 """Corners, world units, of the volume that natively trained fields fill."""
@@ -35,6 +41,21 @@ SLAB_SLOPE = 0.5
 """Slabs are used while |d_z| of every ray exceeds this: cameras up to about 50 degrees from the front."""
 
 CHUNK = 2**16
+
+EVERYWHERE = 0.9
+"""Share of the box above which a density has no surface to look for."""
+
+SHALLOW = 0.9
+"""Opacity that a shell around a surface has on most rays; haze has less, and needs even samples."""
+
+SHELL_FRONT, SHELL_LEFT = 6, 5e-3
+"""Samples of a shell asked for at first, and the share of light below which the others are not."""
+
+EVEN_FRONT, EVEN_LEFT = 16, 1e-6
+"""The same for even samples, whose picture must stay the published one to rounding."""
+
+WINDOW = (0.06, 0.09)
+"""World units before and behind a surface known at one gaze in which it is looked for at another."""
 
 MAX_KNOWN = 4
 """Subjects whose occupancy a field remembers."""
@@ -49,6 +70,7 @@ class BoundTwoStream:
         gaze: In the head frame; a warning is given beyond the trained range.
         sampler: `slabs` or `guided`; the field's own when None.
         bfloat16: Query in bfloat16, several times faster where the processor has matrix tiles.
+        upsampler: One of `gazenerf.field.upsampler.BACKENDS`; `folded` when None.
 
     Raises:
         UserError: code sizes differ, or the gaze is not finite.
@@ -62,6 +84,7 @@ class BoundTwoStream:
         *,
         sampler: str | None = None,
         bfloat16: bool = False,
+        upsampler: str | None = None,
     ) -> None:
         config = field.config
         if subject.codes.sizes != config.code_sizes:
@@ -84,6 +107,8 @@ class BoundTwoStream:
         self.weights_hash = field.weights_hash
         self.sampler = sampler or config.sampler
         self.bfloat16 = bfloat16
+        self.upsampler = upsampler
+        self.upsample: Upsampler = field.upsampler("reference" if bfloat16 else upsampler or "folded")
         if self.sampler == "guided":
             self.box = np.array(GUIDED_BOX)
         else:
@@ -107,9 +132,13 @@ class BoundTwoStream:
         with torch.inference_mode(), torch.autocast("cpu", dtype=torch.bfloat16, enabled=self.bfloat16):
             yield
 
-    @cached_property
+    @property
     def background(self) -> np.ndarray:
         """(3,) sRGB mean colour of the picture of the background alone."""
+        return self._background
+
+    @cached_property
+    def _background(self) -> np.ndarray:
         with self._fast():
             size = self.field.config.feature_size
             return self.field.renderer(self.field.renderer.background(size, size)).mean((0, 2, 3)).numpy()
@@ -122,6 +151,19 @@ class BoundTwoStream:
         if part not in self.field.streams:
             raise UserError(f"this field has one stream; its only part is head, not {part}")
         return (part,)
+
+    def at(self, gaze: Gaze) -> BoundTwoStream:
+        """The same subject at another gaze; what is known of the subject is kept."""
+        return BoundTwoStream(
+            self.field, self.subject, gaze,
+            sampler=self.sampler, bfloat16=self.bfloat16, upsampler=self.upsampler,
+        )  # fmt: skip
+
+    def bake(self) -> BakedHead:
+        """See `gazenerf.field.baked.bake`."""
+        from gazenerf.field.baked import bake
+
+        return bake(self)
 
     def density(self, points: torch.Tensor, part: Part = "head") -> torch.Tensor:
         """Density (N,) per world unit at points (N, 3); gradients flow to points that ask for them."""
@@ -144,48 +186,96 @@ class BoundTwoStream:
         return total
 
     def _query(self, name: str, points: torch.Tensor) -> torch.Tensor:
-        density = self.field.stream(name).query(points[None], self._conditions[name], features=False)[0][0]
-        return self.field.confine(name, density, points)
+        return self.field.query(name, points[None], self._conditions[name], features=False)[0][0]
 
     @cached_property
     def _grids(self) -> dict[str, Occupancy]:
         """Occupancy of each stream, found once a subject and grown so that it holds for every gaze."""
         known = self.field.occupancies
-        key = (self.subject.codes.shape_code.tobytes(), self.sampler)
+        key = (self.subject.codes.shape_code.tobytes(), self.sampler, self.field.version)
         if key not in known:
             box = torch.from_numpy(self.box.astype(np.float32))
             if len(known) >= MAX_KNOWN:
                 known.pop(next(iter(known)))
             with self._fast():
                 known[key] = {
-                    name: Occupancy.of(lambda points, name=name: self._query(name, points), box)
+                    name: Occupancy.of(
+                        lambda points, name=name: self._query(name, points), box, within=self._trained_box(name)
+                    )
                     for name in self.field.streams
                 }
         return known[key]
 
+    def _trained_box(self, name: str) -> torch.Tensor | None:
+        """(2, 3) box outside which a stream's density is 0, None when there is none."""
+        box = self.field.config.eyes_box
+        return torch.tensor(box).reshape(2, 3) if name == "eyes" and box is not None else None
+
     @cached_property
     def _eyes_bounds(self) -> torch.Tensor | None:
         """Box around the eyes' density, None when it is not known to be small."""
-        if self.sampler != "guided" or "eyes" not in self.field.streams:
+        if "eyes" not in self.field.streams:
             return None
+        if self.sampler != "guided":
+            return self._trained_box("eyes")  # all that is known without looking
         bounds = self._grids["eyes"].bounds()
         return torch.zeros(2, 3) if bounds is None else bounds
 
-    def _occupancy(self, names: tuple[str, ...]) -> Occupancy:
-        grids = [self._grids[name] for name in names]
-        cells = grids[0].cells
-        for grid in grids[1:]:
-            cells = cells | grid.cells
-        return Occupancy(cells, grids[0].box)
+    def occupancy(self, names: tuple[str, ...]) -> Occupancy:
+        """Where the streams' densities can be, whatever the gaze."""
+        return Occupancy.union([self._grids[name] for name in names])
 
     def _surface(
-        self, rays_o: torch.Tensor, rays_d: torch.Tensor, names: tuple[str, ...], refinements: int
+        self, rays_o: torch.Tensor, rays_d: torch.Tensor, names: tuple[str, ...], window: Window | None = None
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        occupancy = self._occupancy(names)
         return first_surface(
             lambda points: torch.cat([self._density(chunk, names) for chunk in points.split(CHUNK)]),
-            occupancy, rays_o, rays_d, refinements=refinements,
+            self.occupancy(names), rays_o, rays_d, window=window,
         )  # fmt: skip
+
+    @cached_property
+    def sparse(self) -> bool:
+        """Are rays sampled around a surface only? Not where the density is nearly everywhere; that is warned of."""
+        if self.sampler != "guided":
+            return False
+        share = self.occupancy(tuple(self.field.streams)).share
+        if share > EVERYWHERE:
+            self._warn_dense(f"density fills {share:.0%} of the box")
+        return share <= EVERYWHERE
+
+    def _warn_dense(self, reason: str) -> None:
+        warnings.warn(
+            f"{self.subject.name}: {reason}, there is no surface to sample around (untrained weights?); "
+            "rays are sampled evenly instead, which is slower",
+            stacklevel=2,
+        )
+
+    def head_features(self, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Density (N,) and features (N, C) of both streams as one medium at points (N, 3), without gradients."""
+        with self._fast():
+            found: list[tuple[torch.Tensor, torch.Tensor]] = []
+            for name in ("face", "eyes"):
+                here = torch.ones(len(points), dtype=torch.bool)
+                if name == "eyes" and (bounds := self._eyes_bounds) is not None:
+                    here = ((points >= bounds[0]) & (points <= bounds[1])).all(-1)
+                density = points.new_zeros(len(points))
+                features = points.new_zeros(len(points), self.field.config.feature_channels)
+                queried, hidden = self.field.query(name, points[here][None], self._conditions[name])
+                projected = self.field.stream(name).project(hidden, torch.ones_like(queried))[0].float()
+                density[here] = queried[0]
+                features[here] = self.field.move_eyes(projected, self._label) if name == "eyes" else projected
+                found.append((density, features))
+        (face, face_features), (eyes, eyes_features) = found
+        share = (eyes / (face + eyes).clamp(min=EPSILON))[:, None]
+        return face + eyes, torch.lerp(face_features, eyes_features, share)
+
+    def composite_near(
+        self, rays_o: torch.Tensor, rays_d: torch.Tensor, distance: torch.Tensor, background: torch.Tensor
+    ) -> Composited:
+        """The head along rays whose surface is known to lie near a distance (R,); see `WINDOW`."""
+        with self._fast():
+            window = distance - WINDOW[0], distance + WINDOW[1]
+            return self._composited(rays_o, rays_d, tuple(self.field.streams), background, window)
 
     def _even_samples(self, rays_o: torch.Tensor, rays_d: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """The published slabs where every ray descends steeply in z, else as many steps through the box.
@@ -198,27 +288,34 @@ class BoundTwoStream:
         return ray_samples(rays_o, rays_d, box, self.field.config.samples)
 
     def _samples(
-        self, rays_o: torch.Tensor, rays_d: torch.Tensor, names: tuple[str, ...]
+        self, rays_o: torch.Tensor, rays_d: torch.Tensor, names: tuple[str, ...], window: Window | None, sparse: bool
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Rays that can hit something (indices), and their t and deltas."""
         config = self.field.config
-        if self.sampler == "slabs":
+        if not sparse:
             return torch.arange(len(rays_o)), *self._even_samples(rays_o, rays_d)
-        distance, hit = self._surface(rays_o, rays_d, names, refinements=1)
+        distance, hit = self._surface(rays_o, rays_d, names, window)
         rays = hit.nonzero()[:, 0]
         return rays, *shell_samples(distance[rays], config.shell, config.shell_samples)
 
     def _composited(
-        self, rays_o: torch.Tensor, rays_d: torch.Tensor, names: tuple[str, ...], background: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Features (R, C) with background, opacity (R,) and expected distance (R,) of one medium."""
+        self,
+        rays_o: torch.Tensor,
+        rays_d: torch.Tensor,
+        names: tuple[str, ...],
+        background: torch.Tensor,
+        window: Window | None = None,
+        sparse: bool = True,
+    ) -> Composited:
+        """Features with background, opacity and expected distance of one medium; evenly sampled unless `sparse`."""
         features, opacity = background.clone(), torch.zeros(len(rays_o))
         distance = torch.full((len(rays_o),), torch.nan)
-        rays, t, deltas = self._samples(rays_o, rays_d, names)
+        rays, t, deltas = self._samples(rays_o, rays_d, names, window, sparse)
+        segments = (SHELL_FRONT, SHELL_LEFT) if sparse else (EVEN_FRONT, EVEN_LEFT)
         for part in torch.arange(len(rays)).split(max(1, CHUNK // max(1, t.shape[1] if len(rays) else 1))):
             index = rays[part]
             points = rays_o[index, None] + t[part, :, None] * rays_d[index, None]
-            rows, alpha, expected = self._composite_chunk(points, t[part], deltas[part], names)
+            rows, alpha, expected = self._front_to_back(points, t[part], deltas[part], names, *segments)
             if names == ("eyes",):
                 rows = self.field.move_eyes(rows, self._label)
                 empty = self.field.move_eyes(background[index], self._label)
@@ -233,34 +330,41 @@ class BoundTwoStream:
             features[missed] = self.field.move_eyes(background[missed], self._label)
         return features, opacity, distance
 
-    def _smooth_outline(
-        self,
-        camera: Camera,
-        grid: np.ndarray,
-        names: tuple[str, ...],
-        background: torch.Tensor,
-        found: tuple[torch.Tensor, torch.Tensor, torch.Tensor],
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Features and opacity along the outline averaged over four rays a feature pixel.
+    def _feature_map(self, grid: FeatureGrid, names: tuple[str, ...], background: torch.Tensor) -> Composited:
+        found = self._composited(grid.rays_o, grid.rays_d, names, background, sparse=self.sparse)
+        if not self.sparse:  # outlines of published fields are left as they are
+            return found
+        seen = found[1][found[1] > 0]
+        if len(seen) and float(seen.median()) < SHALLOW:
+            self._warn_dense(f"a shell around the surface holds {float(seen.median()):.0%} of what is seen")
+            return self._composited(grid.rays_o, grid.rays_d, names, background, sparse=False)
+        return grid.smooth_outline(
+            lambda o, d, back, window: self._composited(o, d, names, back, window), background, found
+        )
 
-        One ray decides for `upsampling` squared picture pixels whether they show the head, which
-        draws outlines as stairs. Published fields are left as they are.
+    def _front_to_back(
+        self,
+        points: torch.Tensor,
+        t: torch.Tensor,
+        deltas: torch.Tensor,
+        names: tuple[str, ...],
+        front: int,
+        left: float,
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """`_composite_chunk` of `front` samples at a time, on with the rays that have more than `left` of their light.
+
+        What lies behind a segment of a ray is added times the light that passes the segment.
         """
-        features, opacity, distance = found
-        if self.sampler != "guided":
-            return found
-        solid = (opacity >= 0.5).reshape(grid.shape[:2]).numpy().astype(np.uint8)
-        cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-        outline = np.flatnonzero(cv2.dilate(solid, cross) != cv2.erode(solid, cross))
-        if not len(outline):
-            return found
-        inside = np.array([[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]])
-        rays_o, rays_d = camera_rays(camera, grid.reshape(-1, 2)[outline, None] + inside)
-        index = torch.from_numpy(outline)
-        fine, alpha, _ = self._composited(rays_o, rays_d, names, background[index].repeat_interleave(4, dim=0))
-        features[index] = fine.reshape(len(outline), 4, -1).mean(1)
-        opacity[index] = alpha.reshape(-1, 4).mean(1)
-        return features, opacity, distance
+        rows, opacity, expected = self._composite_chunk(points[:, :front], t[:, :front], deltas[:, :front], names)
+        on = (1.0 - opacity > left).nonzero()[:, 0] if t.shape[1] > front else t.new_zeros(0, dtype=torch.long)
+        if len(on):
+            behind = self._front_to_back(points[on, front:], t[on, front:], deltas[on, front:], names, front, left)
+            passed = 1.0 - opacity[on]
+            near, far = opacity[on], passed * behind[1]
+            rows[on] += passed[:, None] * behind[0]
+            expected[on] = (near * expected[on] + far * behind[2]) / (near + far).clamp(min=1e-6)
+            opacity[on] = near + far
+        return rows, opacity, expected
 
     def _composite_chunk(
         self, points: torch.Tensor, t: torch.Tensor, deltas: torch.Tensor, names: tuple[str, ...]
@@ -268,11 +372,10 @@ class BoundTwoStream:
         found: dict[str, tuple[torch.Tensor, torch.Tensor]] = {}
         near = torch.ones(len(points), dtype=torch.bool)
         for name in names:
-            stream = self.field.stream(name)
             if name == "eyes" and len(names) > 1 and (bounds := self._eyes_bounds) is not None:
                 near = ((points >= bounds[0]) & (points <= bounds[1])).all(-1).any(-1)
-            density, hidden = stream.query(points[near][None], self._conditions[name])
-            found[name] = self.field.confine(name, density[0], points[near]), hidden[0].float()
+            density, hidden = self.field.query(name, points[near][None], self._conditions[name])
+            found[name] = density[0], hidden[0].float()
         leading = next(iter(names))
         total = found[leading][0].clone()
         if len(names) > 1:
@@ -301,21 +404,17 @@ class BoundTwoStream:
         for part in parts:
             self._streams_of(part)
         config = self.field.config
-        k = config.upsampling
-        columns, rows = max(2, -(-camera.width // k)), max(2, -(-camera.height // k))
-        small = camera.resized(columns, rows)
-        grid = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1) + config.ray_offset
-        rays_o, rays_d = camera_rays(small, grid)
+        grid = FeatureGrid.of(camera, config)
+        rows, columns = grid.shape
         images: dict[Part, np.ndarray] = {}
         geometry: dict[Part, GeometryView] = {}
         with self._fast():
             background = self.field.renderer.background(rows, columns)[0].flatten(1).T.float()
-            cache: dict[tuple[str, ...], tuple[torch.Tensor, torch.Tensor, torch.Tensor]] = {}
+            cache: dict[tuple[str, ...], Composited] = {}
 
-            def composited(names: tuple[str, ...]) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+            def composited(names: tuple[str, ...]) -> Composited:
                 if names not in cache:
-                    found = self._composited(rays_o, rays_d, names, background)
-                    cache[names] = self._smooth_outline(small, grid, names, background, found)
+                    cache[names] = self._feature_map(grid, names, background)
                 return cache[names]
 
             for part in parts:
@@ -329,23 +428,20 @@ class BoundTwoStream:
                     features, opacity, distance = composited(names)
                     if names == ("head",):
                         features = self.field.move_eyes(features, self._label)
-                picture = self.field.renderer(features.T.reshape(1, -1, rows, columns))[0]
-                image = np.ascontiguousarray(picture.permute(1, 2, 0).float().numpy())
+                picture = self.upsample(features.T.reshape(1, -1, rows, columns))[0]
                 if names == ("eyes",) and config.eyes_box is not None:
-                    image = self._on_background(image, opacity.reshape(rows, columns).numpy())
-                if image.shape[:2] != (camera.height, camera.width):
-                    image = cv2.resize(image, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
-                images[part] = np.clip(image, 0.0, 1.0)
+                    picture = self._on_background(picture, opacity.reshape(rows, columns))
+                images[part] = to_picture(picture, camera)
                 geometry[part] = GeometryView(
-                    small, opacity.reshape(rows, columns).numpy(), distance.reshape(rows, columns).numpy()
+                    grid.camera, opacity.reshape(rows, columns).numpy(), distance.reshape(rows, columns).numpy()
                 )
         return RenderedView(camera, images, geometry)
 
-    def _on_background(self, image: np.ndarray, opacity: np.ndarray) -> np.ndarray:
-        """A picture (H, W, 3) where a feature map's opacity (h, w) or a neighbour's is, else the background."""
-        grown = cv2.dilate(opacity.astype(np.float32), np.ones((3, 3), np.uint8))
-        share = cv2.resize(grown, (image.shape[1], image.shape[0]), interpolation=cv2.INTER_LINEAR)[..., None]
-        return share * image + (1.0 - share) * self.background
+    def _on_background(self, picture: torch.Tensor, opacity: torch.Tensor) -> torch.Tensor:
+        """A picture (3, H, W) where a feature map's opacity (h, w) or a neighbour's is, else the background."""
+        grown = F.max_pool2d(opacity[None, None].float(), 3, stride=1, padding=1)
+        share = F.interpolate(grown, size=picture.shape[1:], mode="bilinear", align_corners=False)[0]
+        return share * picture + (1.0 - share) * torch.from_numpy(self.background)[:, None, None]
 
     def render_geometry(self, camera: Camera, part: Part = "head", normals: bool = False) -> GeometryView:
         """Opacity and expected depth along the rays of every pixel; for `head`, of both media as one.
@@ -356,8 +452,8 @@ class BoundTwoStream:
         rays_o, rays_d = camera_rays(camera)
         opacity, depth = torch.zeros(len(rays_o)), torch.full((len(rays_o),), torch.nan)
         with self._fast():
-            if self.sampler == "guided":
-                distance, hit = self._surface(rays_o, rays_d, names, refinements=1)
+            if self.sparse:
+                distance, hit = self._surface(rays_o, rays_d, names)
                 rays = hit.nonzero()[:, 0]
                 for index in rays.split(CHUNK // 16):
                     t, deltas = shell_samples(distance[index], 0.06, 16)

@@ -81,7 +81,6 @@ class BoundField(Protocol):
         box: (2, 3) float64 lower and upper corner of the volume where density may be non-zero.
         metres_per_unit: Size of a world unit.
         weights_hash: Names the weights in sidecars and reports.
-        background: (3,) sRGB of an empty ray.
     """
 
     subject: Subject
@@ -89,7 +88,11 @@ class BoundField(Protocol):
     box: np.ndarray
     metres_per_unit: float
     weights_hash: str
-    background: np.ndarray
+
+    @property
+    def background(self) -> np.ndarray:
+        """(3,) sRGB of an empty ray."""
+        ...
 
     def density(self, points: torch.Tensor, part: Part = "head") -> torch.Tensor:
         """Density (N,) >= 0 per world unit at points (N, 3), differentiable in the points."""

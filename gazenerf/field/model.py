@@ -11,11 +11,12 @@ from gazenerf.field.compositing import composite, composite_joint
 from gazenerf.field.config import FieldConfig
 from gazenerf.field.eye_motion import EYE_MOTIONS
 from gazenerf.field.neural_renderer import NeuralRenderer
-from gazenerf.field.streams import Stream
+from gazenerf.field.streams import Stream, StreamCondition
 
 if TYPE_CHECKING:
     from gazenerf.field.bound import BoundTwoStream
     from gazenerf.field.occupancy import Occupancy
+    from gazenerf.field.upsampler import Upsampler
     from gazenerf.geometry import Gaze
     from gazenerf.subjects import Subject
 
@@ -40,7 +41,8 @@ class TwoStreamField(nn.Module):
         self.renderer = NeuralRenderer(config)
         self.about: dict[str, Any] = {}
         self.weights_hash = ""
-        self.occupancies: dict[tuple[bytes, str], dict[str, Occupancy]] = {}
+        self.occupancies: dict[tuple[bytes, str, int], dict[str, Occupancy]] = {}
+        self._upsamplers: dict[tuple[str, int], Upsampler] = {}
 
     def stream(self, name: str) -> Stream:
         """A stream by name."""
@@ -63,6 +65,30 @@ class TwoStreamField(nn.Module):
             return density
         low, high = points.new_tensor(box[:3]), points.new_tensor(box[3:])
         return density * ((points >= low) & (points <= high)).all(-1)
+
+    def query(
+        self, name: str, points: torch.Tensor, condition: StreamCondition, features: bool = True
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """`Stream.query` of a stream by name, its density confined to where it was trained."""
+        density, hidden = self.stream(name).query(points, condition, features)
+        return self.confine(name, density, points), hidden
+
+    @property
+    def version(self) -> int:
+        """Changes whenever a weight does; what is derived from weights is kept under it."""
+        return hash(tuple((value.data_ptr(), value._version) for value in self.parameters()))
+
+    def upsampler(self, backend: str) -> Upsampler:
+        """The renderer by a backend of `gazenerf.field.upsampler`, prepared once for the present weights."""
+        from gazenerf.field.upsampler import make_upsampler
+
+        key = (backend, self.version)
+        if key not in self._upsamplers:
+            stale = [known for known in self._upsamplers if known[1] != key[1]]
+            for known in stale:
+                del self._upsamplers[known]
+            self._upsamplers[key] = make_upsampler(self.renderer, backend)
+        return self._upsamplers[key]
 
     def bind(self, subject: Subject, gaze: Gaze, **options: Any) -> BoundTwoStream:
         """This field with a subject and a gaze fixed; see `BoundTwoStream` for the options."""

@@ -14,11 +14,15 @@ MIN_CHANNELS = 32
 SLOPE = 0.2
 
 
-def blur(images: torch.Tensor) -> torch.Tensor:
-    """Normalised [1 2 1] x [1 2 1] filter with reflected borders, (B, C, H, W)."""
-    channels = images.shape[1]
-    taps = torch.tensor([0.25, 0.5, 0.25], device=images.device, dtype=images.dtype)
-    kernel = (taps[:, None] * taps[None, :]).expand(channels, 1, 3, 3)
+def blur_kernel(channels: int) -> torch.Tensor:
+    """(C, 1, 3, 3) normalised [1 2 1] x [1 2 1] for each channel."""
+    taps = torch.tensor([0.25, 0.5, 0.25])
+    return (taps[:, None] * taps[None, :]).expand(channels, 1, 3, 3)
+
+
+def blur(images: torch.Tensor, channels: int) -> torch.Tensor:
+    """`blur_kernel` with reflected borders, (B, C, H, W); C is given as a number so that tracing knows it."""
+    kernel = blur_kernel(channels).to(images)
     rows = torch.cat([images[:, :, 1:2], images, images[:, :, -2:-1]], dim=2)
     padded = torch.cat([rows[:, :, :, 1:2], rows, rows[:, :, :, -2:-1]], dim=3)
     return F.conv2d(padded, kernel, groups=channels)
@@ -29,6 +33,7 @@ class Upsample(nn.Module):
 
     def __init__(self, channels: int) -> None:
         super().__init__()
+        self.channels = channels
         self.widen_0 = nn.Conv2d(channels, 2 * channels, 1)
         self.widen_1 = nn.Conv2d(2 * channels, 4 * channels, 1)
 
@@ -36,7 +41,7 @@ class Upsample(nn.Module):
         """(B, C, H, W) to (B, C, 2H, 2W)."""
         wide = F.leaky_relu(self.widen_0(features), SLOPE)
         wide = F.leaky_relu(self.widen_1(wide), SLOPE) + features.repeat(1, 4, 1, 1)
-        return blur(F.pixel_shuffle(wide, 2))
+        return blur(F.pixel_shuffle(wide, 2), self.channels)
 
 
 class NeuralRenderer(nn.Module):
@@ -77,5 +82,5 @@ class NeuralRenderer(nn.Module):
         rgb = self.to_rgb[0](features)
         for upsample, narrow, to_rgb in zip(self.upsample, self.narrow, list(self.to_rgb)[1:], strict=True):
             features = F.leaky_relu(narrow(upsample(features)), SLOPE)
-            rgb = blur(F.interpolate(rgb, scale_factor=2, mode="bilinear", align_corners=False)) + to_rgb(features)
+            rgb = blur(F.interpolate(rgb, scale_factor=2, mode="bilinear", align_corners=False), 3) + to_rgb(features)
         return torch.sigmoid(rgb.float())

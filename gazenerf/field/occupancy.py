@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -21,28 +21,51 @@ class Occupancy:
     Attributes:
         cells: (G, G, G) bool, indexed [x, y, z].
         box: (2, 3) float32.
+        density: (G, G, G) float32 per world unit at the cells' centres, as sampled.
     """
 
     cells: torch.Tensor
     box: torch.Tensor
+    density: torch.Tensor
 
     @classmethod
     def of(
-        cls, density: Density, box: torch.Tensor, size: int = 64, threshold: float = 0.5, margin: int = 2
+        cls,
+        density: Density,
+        box: torch.Tensor,
+        size: int = 64,
+        threshold: float = 0.5,
+        margin: int = 2,
+        within: torch.Tensor | None = None,
     ) -> Occupancy:
         """Sample a density at the cell centres and grow what exceeds the threshold (per world unit) by `margin` cells.
 
         The default margin, about 9 mm for the bundled box, covers how far lids move with the gaze.
+        `within` (2, 3) is a box outside which the density is known to be 0 and not asked for.
         """
         step = (box[1] - box[0]) / size
         axes = [box[0, i] + step[i] * (torch.arange(size) + 0.5) for i in range(3)]
-        values = []
-        for x in axes[0].split(8):
-            points = torch.cartesian_prod(x, axes[1], axes[2])
-            values.append(density(points).reshape(len(x), size, size))
-        dense = torch.cat(values) > threshold
+        low, high = [0] * 3, [size] * 3
+        if within is not None:
+            low = [int((axes[i] < within[0, i]).sum()) for i in range(3)]
+            high = [int((axes[i] <= within[1, i]).sum()) for i in range(3)]
+        values = torch.zeros(size, size, size)
+        y, z = (axes[i][low[i] : high[i]] for i in (1, 2))
+        for first in range(low[0], high[0], 8):
+            x = axes[0][first : min(first + 8, high[0])]
+            found = density(torch.cartesian_prod(x, y, z)).reshape(len(x), len(y), len(z))
+            values[first : first + len(x), low[1] : high[1], low[2] : high[2]] = found
+        dense = values > threshold
         grown = F.max_pool3d(dense[None, None].float(), 2 * margin + 1, stride=1, padding=margin)[0, 0] > 0
-        return cls(grown, box)
+        return cls(grown, box, values)
+
+    @classmethod
+    def union(cls, parts: Sequence[Occupancy]) -> Occupancy:
+        """What any of some occupancies of one box holds, with the sum of their densities."""
+        cells, density = parts[0].cells, parts[0].density
+        for part in parts[1:]:
+            cells, density = cells | part.cells, density + part.density
+        return cls(cells, parts[0].box, density)
 
     @property
     def share(self) -> float:
@@ -72,9 +95,10 @@ def first_surface(
     rays_o: torch.Tensor,
     rays_d: torch.Tensor,
     steps: int = 96,
-    block: int = 6,
+    block: int = 4,
     refinements: int = 1,
     least: float = 0.1,
+    window: tuple[torch.Tensor, torch.Tensor] | None = None,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Distance at which half the light of each ray is gone, or where it loses most if it never loses half.
 
@@ -92,6 +116,7 @@ def first_surface(
         block: Samples a ray and round.
         refinements: How often the interval is divided by eight.
         least: A ray that loses a smaller share of its light hits nothing.
+        window: Nearest and farthest distance (R,) that are looked at; the whole box when None.
 
     Returns:
         distance (R,), meaningless where `hit` is False, and hit (R,) bool.
@@ -101,6 +126,8 @@ def first_surface(
     step = ((far - near) / steps).clamp(min=1e-9)
     t = near[:, None] + (torch.arange(steps) + 0.5) * step[:, None]
     occupied = occupancy.at(rays_o[:, None] + t[..., None] * rays_d[:, None])
+    if window is not None:
+        occupied &= (t >= window[0][:, None]) & (t <= window[1][:, None])
     order = torch.argsort((~occupied).to(torch.uint8), dim=1, stable=True)
     numbers = occupied.sum(1)
     t = t.gather(1, order)
@@ -128,18 +155,37 @@ def first_surface(
         passed[alive] = left[:, -1]
     distance = torch.where(distance.isnan() & (passed < 1.0 - least), grazed, distance)
     found = ~distance.isnan()
-    width = step.clone()
+    rays = found.nonzero()[:, 0]
+    place, width = distance[rays], step[rays]
     for _ in range(refinements):
-        rays = found.nonzero()[:, 0]
-        parts = 8
-        fine = width[rays] * 2 / parts
-        here = (distance[rays] - 1.5 * width[rays])[:, None] + (torch.arange(parts) + 0.5) * fine[:, None]
-        points = rays_o[rays, None] + here[..., None] * rays_d[rays, None]
-        alpha = 1.0 - torch.exp(-density(points.reshape(-1, 3)).reshape(here.shape) * fine[:, None])
-        left = torch.cumprod(1.0 - alpha, dim=1)
-        crossed = left < 0.5
-        densest = alpha.argmax(1)
-        which = torch.where(crossed.any(1), crossed.float().argmax(1), densest)
-        distance[rays] = here.gather(1, which[:, None])[:, 0]
-        width[rays] = fine
+        place, width = refine(density, rays_o[rays], rays_d[rays], place, width)
+    distance[rays] = place
     return distance, found
+
+
+def refine(
+    density: Density,
+    rays_o: torch.Tensor,
+    rays_d: torch.Tensor,
+    distance: torch.Tensor,
+    width: torch.Tensor,
+    parts: int = 8,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Where half the light is gone within a step of distances (R,), or where the density is greatest.
+
+    Args:
+        density: The bound density.
+        rays_o, rays_d: (R, 3).
+        distance, width: (R,) a sample where it happened, and the step between samples.
+        parts: Samples over two steps.
+
+    Returns:
+        distance (R,) and the new step (R,).
+    """
+    fine = width * 2 / parts
+    here = (distance - 1.5 * width)[:, None] + (torch.arange(parts) + 0.5) * fine[:, None]
+    points = rays_o[:, None] + here[..., None] * rays_d[:, None]
+    alpha = 1.0 - torch.exp(-density(points.reshape(-1, 3)).reshape(here.shape) * fine[:, None])
+    crossed = torch.cumprod(1.0 - alpha, dim=1) < 0.5
+    which = torch.where(crossed.any(1), crossed.float().argmax(1), alpha.argmax(1))
+    return here.gather(1, which[:, None])[:, 0], fine

@@ -139,8 +139,7 @@ def render_batch(
     eyes = model.stream("eyes")
     eyes_condition = eyes.condition(batch.shape_code, batch.appearance_code, label)
     eye_points = _pick(points, batch.eye_rays)
-    density_eyes, hidden_eyes = eyes.query(eye_points, eyes_condition)
-    density_eyes = model.confine("eyes", density_eyes, eye_points)
+    density_eyes, hidden_eyes = model.query("eyes", eye_points, eyes_condition)
     weights_eyes, opacity_eyes = composite(density_eyes, deltas_eyes)
     rotate = config.eye_motion == "feature_rotation"
 

@@ -61,6 +61,39 @@ class BallStream(Stream):
         return density, torch.ones(*points.shape[:-1], self.config.hidden // 2) if features else torch.empty(0)
 
 
+class SoftStream(BallStream):
+    """A ball that is soft enough for a lattice, with colours; `drift` moves it with the pitch."""
+
+    width, drift = 0.02, 0.0
+
+    def density_of(self, inside: torch.Tensor) -> torch.Tensor:
+        return 10.0 * torch.nn.functional.softplus(inside / self.width)
+
+    def condition(
+        self, shape_code: torch.Tensor, appearance_code: torch.Tensor, gaze_label: torch.Tensor
+    ) -> StreamCondition:
+        self.shift = self.drift * float(gaze_label[0, 0])
+        return super().condition(shape_code, appearance_code, gaze_label)
+
+    def query(
+        self, points: torch.Tensor, condition: StreamCondition, features: bool = True
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        inside = self.radius - (points - self.centre - torch.tensor([0.0, self.shift, 0.0])).norm(dim=-1)
+        density = self.density_of(inside)
+        waves = torch.sin(points @ torch.linspace(-3, 3, 3 * (self.config.hidden // 2)).reshape(3, -1))
+        return density, waves if features else torch.empty(0)
+
+
+def soft_field(drift: float = 0.0, **changes: Any) -> TwoStreamField:
+    """A face ball and an eye ball, soft; the face moves by `drift` world units a radian of pitch."""
+    config = tiny_config(**changes)
+    field = make_field(config)
+    face = SoftStream(config, (0.0, 0.0, 0.0), FACE_RADIUS)
+    face.drift = drift
+    field.streams = nn.ModuleDict({"face": face, "eyes": SoftStream(config, EYE_CENTRE, EYE_RADIUS)})
+    return field.eval().requires_grad_(False)
+
+
 FACE_RADIUS, EYE_CENTRE, EYE_RADIUS = 1.0, (0.3, 0.2, 0.85), 0.3
 
 

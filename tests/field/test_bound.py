@@ -9,14 +9,16 @@ import pytest
 import torch
 
 from gazenerf.errors import UserError
+from gazenerf.evaluation.metrics import psnr
 from gazenerf.field.bound import BoundTwoStream
 from gazenerf.field.config import FieldConfig
 from gazenerf.field.interface import BoundField, GeometryView, Part
 from gazenerf.field.model import TwoStreamField
+from gazenerf.field.occupancy import Occupancy
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.subjects import Codes
 
-from .conftest import EYE_CENTRE, EYE_RADIUS, FACE_RADIUS, BallStream, make_field, make_subject, tiny_config
+from .conftest import EYE_CENTRE, EYE_RADIUS, FACE_RADIUS, BallStream, make_field, make_subject, soft_field, tiny_config
 
 GAZE = Gaze.from_degrees(10, -15)
 
@@ -237,3 +239,50 @@ def test_outlines_are_averaged_over_their_feature_pixels(balls: TwoStreamField) 
     share = covered.mean((1, 3))
     hard = (opacity > 0.5).astype(float)
     assert np.abs(opacity - share)[partial].mean() < 0.7 * np.abs(hard - share)[partial].mean()
+
+
+def test_the_sparse_path_is_its_sampler_asked_everywhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Occupancy, early termination and outline windows change nothing; an occupancy with holes does."""
+    field = soft_field(feature_size=32, image_size=64)
+    bound = field.bind(make_subject(field.config), GAZE)
+    cameras = [Camera.orbit(yaw=yaw, size=64) for yaw in (0.0, 0.8)]
+    sparse = [bound.render(camera).image for camera in cameras]
+    (known,) = field.occupancies.values()
+    grids = dict(known)
+    monkeypatch.setattr("gazenerf.field.bound.SHELL_LEFT", -1.0)
+    monkeypatch.setattr("gazenerf.field.bound.EVERYWHERE", 2.0)
+    monkeypatch.setattr("gazenerf.field.feature_map.BESIDE", (9.0, 9.0))
+
+    def again(cells: torch.Tensor | None) -> list[np.ndarray]:
+        for name, grid in grids.items():
+            known[name] = Occupancy(torch.ones_like(grid.cells) if cells is None else grid.cells & cells, *_rest(grid))
+        return [field.bind(bound.subject, GAZE).render(camera).image for camera in cameras]
+
+    for ours, theirs in zip(sparse, again(None), strict=True):
+        assert psnr(ours, theirs) > 45
+    holes = torch.ones(64, 64, 64, dtype=torch.bool)
+    holes[::2] = False
+    assert min(psnr(ours, theirs) for ours, theirs in zip(sparse, again(holes), strict=True)) < 45
+
+
+def _rest(grid: Occupancy) -> tuple[torch.Tensor, torch.Tensor]:
+    return grid.box, grid.density
+
+
+def test_rays_stop_when_nothing_is_left_of_their_light(monkeypatch: pytest.MonkeyPatch) -> None:
+    field = soft_field(samples=64)
+    bound = field.bind(make_subject(field.config), GAZE, sampler="slabs")
+    asked: list[int] = []
+    query = field.query
+
+    def count(name: str, points: torch.Tensor, *args: Any, **options: Any) -> Any:
+        asked.append(points.shape[:-1].numel() if name == "face" else 0)
+        return query(name, points, *args, **options)
+
+    monkeypatch.setattr(field, "query", count)
+    camera = Camera.neutral(field.config.image_size)
+    fast = bound.render(camera).image
+    every = field.config.feature_size**2 * 64
+    assert 0.2 * every < sum(asked) < 0.95 * every
+    monkeypatch.setattr("gazenerf.field.bound.EVEN_LEFT", -1.0)
+    assert np.abs(bound.render(camera).image - fast).max() < 1e-5

@@ -1,0 +1,123 @@
+"""Steps a second of training, and where a step's time goes.
+
+    python -m benchmarks.train --out train.json
+
+The captures are an ellipsoid with two balls at the preset's size: the rays of a head, without its
+synthesis. The perceptual backbone is left out, so that no weights are fetched.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import statistics
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from benchmarks.measure import machine, write_json
+from gazenerf.data.captures import Capture
+from gazenerf.field.analytic import AnalyticField
+from gazenerf.field.config import PRESETS as FIELD_PRESETS
+from gazenerf.field.config import FieldConfig
+from gazenerf.field.model import TwoStreamField
+from gazenerf.geometry import Camera, Gaze
+from gazenerf.subjects import Codes
+from gazenerf.training.batches import BatchMaker
+from gazenerf.training.config import PRESETS
+from gazenerf.training.objective import Objective
+from gazenerf.training.optimizers import Optimizers
+from gazenerf.training.runtime import Runtime
+
+PARTS = ("batch", "forward", "backward", "optimizer")
+
+
+def analytic_captures(config: FieldConfig, count: int = 4) -> list[Capture]:
+    """Views of the analytic head at a field's picture size, with random codes."""
+    captures = []
+    for view in range(count):
+        rng = np.random.default_rng(view)
+        gaze = Gaze(float(rng.uniform(-0.3, 0.3)), float(rng.uniform(-0.4, 0.4)))
+        camera = Camera.orbit(float(rng.uniform(-0.5, 0.5)), size=config.image_size)
+        field = AnalyticField(gaze)
+        head, face, eyes = (field.render_geometry(camera, part).depth for part in ("head", "face", "eyes"))
+        side = camera.rays()[0] + np.nan_to_num(head)[..., None] * camera.rays()[1]
+        eye = np.nan_to_num(eyes, nan=np.inf) <= np.nan_to_num(face, nan=np.inf)
+        parts = np.where(np.isnan(head), 0, np.where(eye, np.where(side[..., 0] > 0, 2, 3), 1)).astype(np.uint8)
+        captures.append(
+            Capture(
+                image=(255 * field.render(camera).image).astype(np.uint8), parts=parts,
+                depth=np.nan_to_num(head).astype(np.float32), camera=camera, gaze=gaze,
+                codes=Codes(*(rng.normal(size=size).astype(np.float32) for size in config.code_sizes)),
+                person=0, view=view,
+            )
+        )  # fmt: skip
+    return captures
+
+
+def measure_steps(preset: str = "small", steps: int = 6) -> dict[str, Any]:
+    """Median seconds of the parts of a step, and steps a second.
+
+    Args:
+        preset: Of `gazenerf.training.config.PRESETS`.
+        steps: After one that warms up.
+    """
+    config = dataclasses.replace(PRESETS[preset], perceptual=0.0, perceptual_backbone="none")
+    field_config = dataclasses.replace(FIELD_PRESETS[config.field_preset], **config.field_overrides)
+    torch.manual_seed(config.seed)
+    captures = analytic_captures(field_config)
+    eyes = AnalyticField().eyes
+    centres, radius = np.stack([eye.centre for eye in eyes]), float(eyes[0].radii[0])
+    maker = BatchMaker(
+        captures, field_config.feature_size, field_config.ray_offset, config.shell is None, lambda _: (centres, radius)
+    )
+    model = TwoStreamField(field_config).train()
+    objective = Objective(model, config, len(captures))
+    optimizer = Optimizers(
+        dict(objective.named_parameters()), config.optimizer, config.learning_rate, config.density_learning_rate,
+        config.muon_learning_rate,
+    )  # fmt: skip
+    runtime = Runtime()
+    wrapped = runtime.setup(objective, optimizer)
+    rng = np.random.default_rng(0)
+    seconds: dict[str, list[float]] = {name: [] for name in PARTS}
+    for step in range(steps + 1):
+        marks = [time.perf_counter()]
+        batch = maker.batch([int(i) for i in rng.integers(0, len(captures), config.batch)], rng).to(runtime.device)
+        marks.append(time.perf_counter())
+        with runtime.autocast():
+            loss, _ = wrapped(batch, step, 0)
+        marks.append(time.perf_counter())
+        optimizer.zero_grad()
+        runtime.backward(loss)
+        marks.append(time.perf_counter())
+        torch.nn.utils.clip_grad_norm_(objective.parameters(), config.gradient_clip)
+        optimizer.step()
+        marks.append(time.perf_counter())
+        if step:
+            for name, a, b in zip(PARTS, marks[:-1], marks[1:], strict=True):
+                seconds[name].append(b - a)
+    medians = {name: statistics.median(values) for name, values in seconds.items()}
+    return {"preset": preset, "batch": config.batch, "seconds": medians, "steps_per_second": 1 / sum(medians.values())}
+
+
+def main() -> None:
+    """Measure, print, write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--preset", default="small", choices=PRESETS)
+    parser.add_argument("--steps", type=int, default=6)
+    parser.add_argument("--out", type=Path, help="JSON")
+    args = parser.parse_args()
+    found, about = measure_steps(args.preset, args.steps), machine()
+    print(f"{about['processor']}, {about['threads']} threads, load {about['load']}")
+    whole = sum(found["seconds"].values())
+    split = ", ".join(f"{name} {value / whole:.0%}" for name, value in found["seconds"].items())
+    print(f"{found['preset']}: {found['steps_per_second']:.2f} steps/s of {found['batch']} pictures; {split}")
+    write_json(args.out, {"machine": about, **found})
+
+
+if __name__ == "__main__":
+    main()
