@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-import cv2
 import numpy as np
 from scipy import ndimage
 
@@ -101,74 +100,6 @@ def compare(
     )
 
 
-@dataclass(frozen=True)
-class Reprojection:
-    """One view against another by depth reprojection.
-
-    Attributes:
-        consistent: Share of co-visible pixels whose round trip lands within 1 px at a relative
-            depth difference below 0.01.
-        round_trip_px, depth_mm: Medians over co-visible pixels.
-        warp_psnr: PSNR, dB, of the other picture warped into this one over consistent pixels; NaN
-            without pictures.
-        covisible: How many pixels were judged.
-    """
-
-    consistent: float
-    round_trip_px: float
-    depth_mm: float
-    warp_psnr: float
-    covisible: int
-
-
-def reproject(
-    a: DepthView,
-    b: DepthView,
-    metres_per_unit: float,
-    image_a: np.ndarray | None = None,
-    image_b: np.ndarray | None = None,
-) -> Reprojection:
-    """Round trip of view A's pixels through view B's depth, as in multi-view stereo fusion.
-
-    Judged are the pixels that land inside B on a pixel with depth, at most 0.1 units behind its
-    surface (farther behind they are hidden there).
-
-    Args:
-        image_a, image_b: (H, W, 3) pictures in [0, 1] of the same cameras.
-    """
-    rays_o, rays_d = a.camera.rays()
-    seen = np.isfinite(a.depth)
-    points = rays_o[seen] + a.depth[seen][:, None] * rays_d[seen]
-    pixels, z = b.camera.project(points)
-    there = _sample(b.depth, pixels)
-    distance = np.linalg.norm(points - b.camera.position, axis=1)
-    met = np.isfinite(there) & (z > 0) & (distance - there < 0.1)
-    judged = int(met.sum())
-    nothing = float("nan")
-    if not judged:
-        return Reprojection(nothing, nothing, nothing, nothing, 0)
-    own = a.camera.pixel_centres()[seen][met]
-    directions = b.camera.rays(pixels[met])[1]
-    back = b.camera.position + there[met, None] * directions
-    returned, _ = a.camera.project(back)
-    gap = np.linalg.norm(returned - own, axis=1)
-    depth_back = np.linalg.norm(back - a.camera.position, axis=1)
-    depth_gap = np.abs(depth_back - a.depth[seen][met])
-    good = (gap < 1.0) & (depth_gap < 0.01 * a.depth[seen][met])
-    psnr = nothing
-    if image_a is not None and image_b is not None and good.any():
-        rows, columns = np.argwhere(seen)[met][good].T
-        target = np.full((2, *a.depth.shape), -1.0, np.float32)
-        target[:, rows, columns] = (pixels[met][good] - 0.5).T
-        warped = cv2.remap(image_b.astype(np.float32), target[0], target[1], cv2.INTER_LINEAR)[rows, columns]
-        mse = float(((warped - image_a[rows, columns]) ** 2).mean())
-        psnr = float(-10.0 * np.log10(max(mse, 1e-10)))
-    return Reprojection(
-        float(good.sum() / judged), float(np.median(gap)), float(np.median(depth_gap) * metres_per_unit * 1000.0), psnr,
-        judged,
-    )  # fmt: skip
-
-
 def blemish_mm2(view: DepthView, reference: DepthView, metres_per_unit: float, limit_mm: float = 5.0) -> float:
     """Area of the largest connected spot that is off by more than a limit, or missing, inside the reference.
 
@@ -183,17 +114,3 @@ def blemish_mm2(view: DepthView, reference: DepthView, metres_per_unit: float, l
         return 0.0
     side = np.where(inside, reference.depth, 0.0) / view.camera.fx * metres_per_unit * 1000.0
     return float(ndimage.sum_labels(side * side, spots, np.arange(1, count + 1)).max())
-
-
-def _sample(depth: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Depth at image coordinates (N, 2), bilinear; NaN outside, beside a hole, or across a depth step."""
-    x, y = pixels[:, 0] - 0.5, pixels[:, 1] - 0.5
-    height, width = depth.shape
-    inside = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
-    x0 = np.clip(np.floor(x).astype(int), 0, max(0, width - 2))
-    y0 = np.clip(np.floor(y).astype(int), 0, max(0, height - 2))
-    fx, fy = np.clip(x - x0, 0, 1), np.clip(y - y0, 0, 1)
-    corners = np.stack([depth[y0, x0], depth[y0, x0 + 1], depth[y0 + 1, x0], depth[y0 + 1, x0 + 1]])
-    weights = np.stack([(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy])
-    value = (corners * weights).sum(axis=0)
-    return np.where(inside & (np.ptp(corners, axis=0) < 0.15), value, np.nan)

@@ -4,223 +4,47 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from itertools import combinations
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from gazenerf.errors import UserError
-from gazenerf.field.interface import BoundField, GeometryView
-from gazenerf.geometry import Camera
+from gazenerf.field.interface import BoundField, Part
+from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model import HeadMesh
-from viz.agreement import Agreement, Reprojection, blemish_mm2, compare, reproject
+from viz.agreement import blemish_mm2, compare
+from viz.check_result import CheckedView, CheckResult
+from viz.drift import Drift, TextureFollow, view_drift
+from viz.epi import FRAMES, SWEEP_DEGREES, Map, epipolar_strips
+from viz.eye_gauges import EyeSweep, gaze_grid, sweep_eyes
+from viz.gauges import GAUGES, Metric, check_names
+from viz.pairs import PairReading, load_perceptual, measure_pair, view_pairs
 from viz.reference import RENDERERS, ReferenceView, obstacle, render_reference, usable
-from viz.surfaces import measure_surfaces
+from viz.stream_views import StreamView, render_streams, stream_parts
+from viz.surfaces import measure_surfaces, surface_errors
+from viz.verdict import of_drift, of_eyes, of_pairs, of_renderers, of_surfaces, of_views, verdict
+from viz.workers import pool
 
-DEFINITIONS = "gazenerf-check-2"
-"""Version of docs/consistency.md that the numbers follow."""
+__all__ = ["GAUGES", "CheckResult", "CheckedView", "Metric", "check_cameras", "check_names", "check_subject"]
 
-CAMERAS = ((0, 0), (20, 0), (-20, 0), (40, 10), (-40, 10), (60, 0), (-60, 0), (0, 20), (0, -20), (30, -15), (-30, -15))
-"""Yaw and pitch, degrees, of the check's views, most telling first."""
+T = TypeVar("T")
 
-NEIGHBOUR = 25.0
-"""Largest angle, degrees, between two views that are reprojected into each other."""
-
-
-@dataclass(frozen=True)
-class Metric:
-    """One number of the verdict.
-
-    Attributes:
-        name: Used by `--fail-on` and in report.json.
-        label, unit: For people.
-        value: NaN when it could not be measured.
-        passes, warns: Thresholds; beyond the first it warns, beyond the second it fails.
-        higher_is_better: Which side is beyond.
-        group: Heading in the report.
-    """
-
-    name: str
-    label: str
-    unit: str
-    value: float
-    passes: float
-    warns: float
-    higher_is_better: bool = False
-    group: str = ""
-
-    @property
-    def verdict(self) -> str:
-        """`pass`, `warn`, `fail` or `unmeasured`."""
-        if not math.isfinite(self.value):
-            return "unmeasured"
-        sign = -1.0 if self.higher_is_better else 1.0
-        if sign * self.value <= sign * self.passes:
-            return "pass"
-        return "warn" if sign * self.value <= sign * self.warns else "fail"
-
-    def crosses(self, threshold: float) -> bool:
-        """Whether the value lies on the wrong side of a threshold, or was not measured."""
-        if not math.isfinite(self.value):
-            return True
-        return self.value < threshold if self.higher_is_better else self.value > threshold
-
-
-GAUGES = tuple(
-    Metric(name, label, unit, math.nan, passes, warns, higher, group)
-    for group, gauges in {
-        "Field against the reference, along each pixel's ray": (
-            ("depth_median_mm", "depth error, median", "mm", 1.5, 3.0, False),
-            ("depth_worst_mm", "depth error, median of the worst view", "mm", 3.0, 6.0, False),
-            ("depth_p95_mm", "depth error, 95th percentile", "mm", 6.0, 12.0, False),
-            ("depth_bias_mm", "depth bias, absolute", "mm", 1.0, 2.0, False),
-            ("silhouette_iou", "silhouette overlap (IoU)", "", 0.97, 0.94, True),
-            ("normal_median_deg", "normal error, median", "deg", 10.0, 20.0, False),
-            ("blemish_mm2", "largest hole or floater", "mm²", 50.0, 200.0, False),
-        ),
-        "Field against the reference, as surfaces": (
-            ("surface_accuracy_mm", "accuracy: field to reference", "mm", 1.5, 3.0, False),
-            ("surface_completeness_mm", "completeness: reference to field", "mm", 1.5, 3.0, False),
-            ("chamfer_mm", "Chamfer distance", "mm", 1.5, 3.0, False),
-            ("chamfer_aligned_mm", "Chamfer distance after a rigid fit", "mm", 1.0, 2.0, False),
-            ("normal_consistency", "normal consistency", "", 0.95, 0.9, True),
-            ("f_score_1mm", "F-score at 1 mm", "", 0.5, 0.3, True),
-            ("f_score_2mm", "F-score at 2 mm", "", 0.8, 0.6, True),
-            ("f_score_5mm", "F-score at 5 mm", "", 0.95, 0.9, True),
-        ),
-        "Frame and eyes": (
-            ("frame_shift_mm", "frame shift", "mm", 1.0, 2.0, False),
-            ("frame_turn_deg", "frame turn", "deg", 0.5, 1.0, False),
-            ("scale_percent", "size difference, absolute", "%", 1.0, 2.0, False),
-            ("eye_centre_mm", "eyeball centre, the worse eye", "mm", 1.0, 2.0, False),
-        ),
-        "Views against each other": (
-            ("reprojection", "depth reprojection, consistent share", "", 0.95, 0.85, True),
-            ("round_trip_px", "reprojection round trip, median", "px", 0.3, 0.6, False),
-            ("warp_psnr", "picture warped between views", "dB", 28.0, 22.0, True),
-            ("warp_worst_psnr", "picture warped, worst pair", "dB", 25.0, 20.0, True),
-        ),
-        "Reference renderers against each other": (
-            ("renderers_mm", "reference renderers apart, depth", "mm", 0.1, 0.5, False),
-            ("renderers_px", "reference renderers apart, silhouette", "px", 1.0, 2.0, False),
-        ),
-    }.items()
-    for name, label, unit, passes, warns, higher in gauges
-)
-"""What is measured and its thresholds, no values yet."""
+CAMERAS = (
+    (0, 0), (30, 0), (5, 0), (-30, 0), (60, 0), (-60, 0), (0, 25), (35, 0), (0, -25), (-35, 0), (30, -15), (-30, -15),
+)  # fmt: skip
+"""Yaw and pitch, degrees, of the check's views, most telling first; some are 5 and many 30 degrees apart."""
 
 CODES = ("identity", "expression", "texture", "illumination")
 
+IRIS_SIZE = 192
+"""Pixels; the iris is looked for in pictures of at least this size."""
 
-def check_names(names: Iterable[str]) -> None:
-    """Raise UserError for a name that is no metric."""
-    known = [gauge.name for gauge in GAUGES]
-    for name in names:
-        if name not in known:
-            raise UserError(f"unknown metric {name!r}; there are {', '.join(known)}")
-
-
-@dataclass(frozen=True)
-class CheckedView:
-    """One view of a check.
-
-    Attributes:
-        yaw, pitch: Of the camera, degrees.
-        image: (H, W, 3) the field's picture.
-        geometry: The field's depth and normals.
-        reference: The first usable renderer's view.
-        agreement: The field against that reference.
-        others: The field against the other renderers, by name.
-        blemish_mm2: The largest spot of the field that is far from that reference, or missing.
-    """
-
-    yaw: float
-    pitch: float
-    image: np.ndarray
-    geometry: GeometryView
-    reference: ReferenceView
-    agreement: Agreement
-    others: dict[str, Agreement] = field(default_factory=dict)
-    blemish_mm2: float = math.nan
-
-    @property
-    def name(self) -> str:
-        """Yaw and pitch as text, such as `+20/+0`."""
-        return f"{self.yaw:+.0f}/{self.pitch:+.0f}"
-
-
-@dataclass(frozen=True)
-class CheckResult:
-    """Everything a report shows.
-
-    Attributes:
-        metrics: The verdict table.
-        views: Worst depth first.
-        pairs: (first view, second view, reprojection), by the names of the views.
-        renderers: Reference renderers that served, the one compared with first.
-        missing: Wanted renderers that could not start, with the reason and the fix.
-        about: Subject, gaze, hashes, size, alignment.
-        between: (renderer, renderer, view, agreement) of the references with each other.
-        surfaces: What `measure_surfaces` gives; the size difference with its sign.
-    """
-
-    metrics: tuple[Metric, ...]
-    views: tuple[CheckedView, ...]
-    pairs: tuple[tuple[str, str, Reprojection], ...]
-    renderers: tuple[str, ...]
-    missing: dict[str, str]
-    about: dict[str, Any] = field(default_factory=dict)
-    between: tuple[tuple[str, str, str, Agreement], ...] = ()
-    surfaces: dict[str, float] = field(default_factory=dict)
-
-    def metric(self, name: str) -> Metric:
-        """A metric by name.
-
-        Raises:
-            UserError: there is none of that name.
-        """
-        check_names([name])
-        return next(metric for metric in self.metrics if metric.name == name)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for report.json; NaN becomes null."""
-        return _plain(
-            {
-                "definitions": DEFINITIONS,
-                "about": self.about,
-                "metrics": [{**asdict(metric), "verdict": metric.verdict} for metric in self.metrics],
-                "views": [
-                    {
-                        "yaw": v.yaw,
-                        "pitch": v.pitch,
-                        "reference": v.reference.renderer,
-                        **asdict(v.agreement),
-                        "blemish_mm2": v.blemish_mm2,
-                        "others": {name: asdict(agreement) for name, agreement in v.others.items()},
-                    }
-                    for v in self.views
-                ],
-                "surfaces": self.surfaces,
-                "pairs": [{"a": a, "b": b, **asdict(result)} for a, b, result in self.pairs],
-                "between_renderers": [
-                    {"a": a, "b": b, "view": view, **asdict(agreement)} for a, b, view, agreement in self.between
-                ],
-                "renderers": list(self.renderers),
-                "missing_renderers": self.missing,
-            }
-        )
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    return int(value) if isinstance(value, np.integer) else value
+UNITS_MM = {"millimetres": 1.0, "centimetres": 10.0, "metres": 1000.0}
+HEAD_MM = (120.0, 600.0)
+"""Largest extent, millimetres, that a head mesh can have."""
 
 
 def check_cameras(views: int, size: int) -> list[tuple[float, float, Camera]]:
@@ -243,10 +67,15 @@ def check_subject(
     bound: BoundField,
     mesh: HeadMesh,
     *,
-    views: int = 8,
-    size: int = 192,
+    views: int = 12,
+    size: int = 256,
     renderers: Sequence[str] = ("mitsuba", "pyrender"),
     illumination: np.ndarray | None = None,
+    bind: Callable[[Gaze], BoundField] | None = None,
+    mesh_at: Callable[[Gaze], HeadMesh] | None = None,
+    gazes: Sequence[Gaze] | None = None,
+    seed: int = 0,
+    workers: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> CheckResult:
     """Check a bound head against its reference mesh and against itself.
@@ -259,50 +88,101 @@ def check_subject(
             another one serves when none of them can.
         illumination: (27,) the subject's spherical-harmonic light, for pictures of the reference;
             none are made without.
-        progress: Called with (views done, all views).
+        bind, mesh_at: The subject's field and reference head at other gazes; the eyes' gauges are not
+            measured without both.
+        gazes: Of the eyes' gauges, the first is compared with; `gaze_grid` about the bound gaze by default.
+        seed: Of surface samples.
+        workers: Threads that render; the cores by default.
+        progress: Called with (steps done, all steps).
 
     Raises:
-        UserError: impossible settings, no renderer at all, or nothing of the head in any view.
+        UserError: impossible settings, no renderer at all, a reference in other units, or nothing of
+            the head in any view.
     """
     cameras = check_cameras(views, size)
     working, missing = _serving(renderers)
-    _check_mesh(mesh, bound)
+    check_mesh(mesh, bound)
+    scale, notes = bound.metres_per_unit, []
+    sweep = tuple(gazes or gaze_grid(bound.gaze)) if bind is not None and mesh_at is not None else ()
+    steps = _Steps(progress, len(cameras) + len(working) + len(sweep) + FRAMES + 1)
+    parts = stream_parts(bound)
     plain = [camera for _, _, camera in cameras]
-    references = {name: render_reference(mesh, plain, name, illumination) for name in working}
-    scale = bound.metres_per_unit
-    checked = []
-    for i, (yaw, pitch, camera) in enumerate(cameras):
-        geometry = bound.render_geometry(camera, "head", normals=True)
-        image = bound.render(camera).image
-        against = {name: compare(geometry, references[name][i], scale) for name in working}
-        first, reference = against.pop(working[0]), references[working[0]][i]
-        spot = blemish_mm2(geometry, reference, scale)
-        checked.append(CheckedView(yaw, pitch, image, geometry, reference, first, against, spot))
-        if progress is not None:
-            progress(i + 1, len(cameras))
-    if not any(np.isfinite(view.geometry.depth).any() for view in checked):
-        raise UserError("no camera of the check sees the head; the field is empty or lies outside the frame")
-    pairs = _pairs(checked, scale)
+    bound.render(plain[0].resized(32), parts)
+    with pool(workers) as executor:
+        rendering = executor.map(partial(render_streams, bound, parts=parts), plain)
+        references: dict[str, list[ReferenceView]] = {}
+        for name in working:
+            references[name] = render_reference(mesh, plain, name, illumination)
+            steps.advance()
+        shown = list(steps.counted(rendering))
+        checked = [
+            _checked(yaw, pitch, view, {name: references[name][i] for name in working}, scale)
+            for i, ((yaw, pitch, _), view) in enumerate(zip(cameras, shown, strict=True))
+        ]
+        _check_seen(checked, notes)
+        streams, follows, pair_notes = _pairs(checked, shown, mesh, scale, executor.map)
+        drift = _drift(checked, shown, bound, follows, executor.map)
+        surfaces = measure_surfaces([v.geometry for v in checked], references[working[0]], mesh, scale, seed=seed)
+        errors = surface_errors([v.geometry for v in checked], references[working[0]], mesh, scale, seed=seed)
+        steps.advance()
+
+        def run(do: Callable[[Any], T], items: Iterable[Any]) -> Iterator[T]:
+            return steps.counted(executor.map(do, items))
+
+        eyes = None
+        if bind is not None and mesh_at is not None:
+            eyes = sweep_eyes(bind, mesh_at, sweep, max(size, IRIS_SIZE), run=run)
+        strips = epipolar_strips(bound, _strip_points(mesh), size, run=run)
+    notes += pair_notes
+    if not sweep:
+        notes.append("The eyes were looked at with one gaze, so their gauges over a gaze grid are not measured.")
     between = tuple(
         (a, b, view.name, compare(references[a][i], references[b][i], scale))
         for a, b in combinations(working, 2)
         for i, view in enumerate(checked)
     )
-    surfaces = measure_surfaces([view.geometry for view in checked], references[working[0]], mesh, scale)
-    metrics = _metrics(checked, pairs, between, surfaces)
-    about = {
-        "subject": bound.subject.name,
-        "gaze_pitch_yaw_degrees": list(bound.gaze.degrees),
-        "weights_sha256_16": bound.weights_hash,
-        "codes_sha256_16": _digest(*(getattr(bound.subject.codes, name) for name in CODES)),
-        "reference_mesh_sha256_16": _digest(mesh.vertices, mesh.faces),
-        "size_px": size,
-        "views": views,
-        "metres_per_unit": scale,
-        "alignment": "none: field and reference share the world frame; chamfer_aligned_mm alone is after a rigid fit",
-    }
+    measured = (
+        of_views(checked)
+        | of_renderers(between)
+        | of_surfaces(surfaces, errors)
+        | of_pairs(streams)
+        | of_drift(drift, streams)
+        | ({} if eyes is None else of_eyes(eyes, scale))
+    )
     worst = sorted(checked, key=lambda view: -np.nan_to_num(view.agreement.depth_median_mm, nan=np.inf))
-    return CheckResult(metrics, tuple(worst), pairs, tuple(working), missing, about, between, surfaces)
+    return CheckResult(
+        metrics=verdict(measured),
+        views=tuple(worst),
+        pairs=tuple((p.a, p.b, p.whole) for p in streams.get("head", ())),
+        renderers=tuple(working),
+        missing=missing,
+        about=_about(bound, mesh, views, size, seed, eyes),
+        between=between,
+        surfaces=surfaces,
+        streams=streams,
+        drift=drift,
+        eyes=eyes,
+        strips=strips,
+        strip_degrees=(-SWEEP_DEGREES, SWEEP_DEGREES),
+        notes=tuple(notes),
+    )
+
+
+class _Steps:
+    """Counts what is done and tells it."""
+
+    def __init__(self, tell: Callable[[int, int], None] | None, total: int) -> None:
+        self._tell, self._total, self._done = tell, total, 0
+
+    def advance(self) -> None:
+        self._done += 1
+        if self._tell is not None:
+            self._tell(self._done, self._total)
+
+    def counted(self, items: Iterable[T]) -> Iterator[T]:
+        for item in items:
+            self.advance()
+            yield item
 
 
 def _serving(wanted: Sequence[str]) -> tuple[list[str], dict[str, str]]:
@@ -316,61 +196,122 @@ def _serving(wanted: Sequence[str]) -> tuple[list[str], dict[str, str]]:
     return working, missing
 
 
-def _check_mesh(mesh: HeadMesh, bound: BoundField) -> None:
+def check_mesh(mesh: HeadMesh, bound: BoundField) -> None:
+    """Refuse a reference mesh that is no head in world units.
+
+    Raises:
+        UserError: empty, not finite, or of another size; where the size is that of a head in millimetres,
+            centimetres or metres, the message says so and by what to divide.
+    """
     if not len(mesh.faces) or not np.isfinite(mesh.vertices).all():
         raise UserError("the reference mesh is empty or holds NaN; check the subject's head-model parameters")
-    ratio = float(np.ptp(mesh.vertices, axis=0).max() / np.ptp(np.asarray(bound.box), axis=0).max())
-    if not 0.05 < ratio < 5.0:
-        raise UserError(
-            f"the reference mesh is {ratio:.3g} times as large as the field's volume; give it in world units"
-        )
+    extent = float(np.ptp(mesh.vertices, axis=0).max())
+    world_mm = 1000.0 * bound.metres_per_unit
+    low, high = HEAD_MM
+    if low <= extent * world_mm <= high:
+        return
+    for unit, millimetres in UNITS_MM.items():
+        if low <= extent * millimetres <= high:
+            factor = millimetres / world_mm
+            fix = f"multiply by {factor:g}" if factor >= 1.0 else f"divide by {1.0 / factor:g}"
+            raise UserError(
+                f"the reference mesh is {extent:.4g} across, a head in {unit}; the field's world unit is "
+                f"{world_mm:g} mm, so {fix}"
+            )
+    raise UserError(
+        f"the reference mesh is {extent:.4g} world units across, {extent * world_mm:.4g} mm; give a head in world units"
+    )
+
+
+def _checked(
+    yaw: float, pitch: float, view: StreamView, references: dict[str, ReferenceView], scale: float
+) -> CheckedView:
+    geometry = view.geometry["head"]
+    against = {name: compare(geometry, reference, scale) for name, reference in references.items()}
+    first = next(iter(references))
+    return CheckedView(
+        yaw, pitch, view.images["head"], geometry, references[first], against.pop(first), against,
+        blemish_mm2(geometry, references[first], scale),
+        {part: image for part, image in view.images.items() if part != "head"},
+    )  # fmt: skip
+
+
+def _check_seen(checked: Sequence[CheckedView], notes: list[str]) -> None:
+    """Note the views that see nothing of the head.
+
+    Raises:
+        UserError: none sees any.
+    """
+    blind = [view.name for view in checked if not np.isfinite(view.geometry.depth).any()]
+    if len(blind) == len(checked):
+        raise UserError("no camera of the check sees the head; the field is empty or lies outside the frame")
+    if blind:
+        notes.append(f"These views have no depth and were left out: {', '.join(blind)}.")
+
+
+def _pairs(
+    checked: Sequence[CheckedView], shown: Sequence[StreamView], mesh: HeadMesh, scale: float, run: Map
+) -> tuple[dict[Part, tuple[PairReading, ...]], tuple[TextureFollow, ...], list[str]]:
+    chosen = view_pairs([view.camera for view in shown])
+    if not chosen:
+        reason = "One view only" if len(shown) == 1 else "No two views are about 5 or 30 degrees apart"
+        return {}, (), [f"{reason}, so views are not compared with each other."]
+    perceptual = load_perceptual()
+    eyes = (np.asarray(mesh.eye_centres, dtype=np.float64), mesh.eye_radius)
+
+    def measure(pair: tuple[int, int, float, str]) -> tuple[dict[Part, PairReading], TextureFollow]:
+        i, j, degrees, reach = pair
+        names, views = (checked[i].name, checked[j].name), (shown[i], shown[j])
+        return measure_pair(names, views, degrees, reach, eyes, scale, perceptual)
+
+    found = list(run(measure, chosen))
+    streams = {part: tuple(readings[part] for readings, _ in found) for part in found[0][0]}
+    return streams, tuple(follow for _, follow in found), []
+
+
+def _drift(
+    checked: Sequence[CheckedView],
+    shown: Sequence[StreamView],
+    bound: BoundField,
+    follows: tuple[TextureFollow, ...],
+    run: Map,
+) -> Drift:
+    views = run(
+        lambda i: view_drift(
+            checked[i].name, shown[i].images["head"], bound.background, shown[i].geometry["head"],
+            shown[i].geometry.get("eyes"),
+        ),
+        range(len(shown)),
+    )  # fmt: skip
+    return Drift(tuple(views), follows, shown[0].camera.width / shown[0].feature_width)
+
+
+def _strip_points(mesh: HeadMesh) -> dict[str, np.ndarray]:
+    """World points whose rows the epipolar-plane images show."""
+    points = {"eyes": mesh.eye_centres.mean(axis=0) + np.array([0.0, 0.0, mesh.eye_radius])}
+    lips = [mesh.landmarks[name] for name in ("62", "66") if name in mesh.landmarks]
+    return points | ({"mouth": np.mean(lips, axis=0)} if lips else {})
+
+
+def _about(
+    bound: BoundField, mesh: HeadMesh, views: int, size: int, seed: int, eyes: EyeSweep | None
+) -> dict[str, Any]:
+    return {
+        "subject": bound.subject.name,
+        "gaze_pitch_yaw_degrees": list(bound.gaze.degrees),
+        "gaze_grid_degrees": [] if eyes is None else eyes.commanded.tolist(),
+        "weights_sha256_16": bound.weights_hash,
+        "codes_sha256_16": _digest(*(getattr(bound.subject.codes, name) for name in CODES)),
+        "reference_mesh_sha256_16": _digest(mesh.vertices, mesh.faces),
+        "size_px": size,
+        "iris_size_px": None if eyes is None else max(size, IRIS_SIZE),
+        "views": views,
+        "seed": seed,
+        "metres_per_unit": bound.metres_per_unit,
+        "alignment": "none: field and reference share the world frame; chamfer_aligned_mm and "
+        "face_chamfer_aligned_mm alone are after a rigid fit",
+    }
 
 
 def _digest(*arrays: np.ndarray) -> str:
     return hashlib.sha256(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)).hexdigest()[:16]
-
-
-def _pairs(checked: list[CheckedView], scale: float) -> tuple[tuple[str, str, Reprojection], ...]:
-    out = []
-    for a in checked:
-        for b in checked:
-            direction_a, direction_b = (view.geometry.camera.world_from_camera[:3, 2] for view in (a, b))
-            angle = math.degrees(math.acos(float(np.clip(direction_a @ direction_b, -1.0, 1.0))))
-            if a is not b and angle <= NEIGHBOUR:
-                out.append((a.name, b.name, reproject(a.geometry, b.geometry, scale, a.image, b.image)))
-    return tuple(out)
-
-
-def _metrics(
-    checked: list[CheckedView],
-    pairs: tuple[tuple[str, str, Reprojection], ...],
-    between: tuple[tuple[str, str, str, Agreement], ...],
-    surfaces: dict[str, float],
-) -> tuple[Metric, ...]:
-    def values(name: str) -> list[float]:
-        return [getattr(view.agreement, name) for view in checked]
-
-    def over_pairs(reduce: Callable[[list[float]], Any], name: str) -> float:
-        return _known(reduce, [getattr(result, name) for _, _, result in pairs if result.covisible])
-
-    measured = surfaces | {
-        "scale_percent": abs(surfaces["scale_percent"]),
-        "depth_median_mm": _known(np.nanmedian, values("depth_median_mm")),
-        "depth_worst_mm": _known(np.nanmax, values("depth_median_mm")),
-        "depth_p95_mm": _known(np.nanmedian, values("depth_p95_mm")),
-        "depth_bias_mm": abs(_known(np.nanmedian, values("depth_bias_mm"))),
-        "silhouette_iou": _known(np.nanmedian, values("silhouette_iou")),
-        "normal_median_deg": _known(np.nanmedian, values("normal_median_deg")),
-        "blemish_mm2": _known(np.nanmax, [view.blemish_mm2 for view in checked]),
-        "reprojection": over_pairs(np.nanmedian, "consistent"),
-        "round_trip_px": over_pairs(np.nanmedian, "round_trip_px"),
-        "warp_psnr": over_pairs(np.nanmedian, "warp_psnr"),
-        "warp_worst_psnr": over_pairs(np.nanmin, "warp_psnr"),
-        "renderers_mm": _known(np.nanmax, [agreement.depth_p95_mm for *_, agreement in between]),
-        "renderers_px": _known(np.nanmax, [agreement.silhouette_px for *_, agreement in between]),
-    }
-    return tuple(replace(gauge, value=measured[gauge.name]) for gauge in GAUGES)
-
-
-def _known(reduce: Callable[[list[float]], Any], values: list[float]) -> float:
-    return float(reduce(values)) if values and np.isfinite(values).any() else math.nan

@@ -12,9 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
+from gazenerf.evaluation.face_crop import FaceCrop, face_crop
 from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, HeadMesh
 from viz.agreement import DepthView, eroded
+from viz.error_bars import jackknife
 from viz.reference import ReferenceView
+from viz.surface_fit import SurfaceSamples, align
 
 F_LIMITS_MM = (1.0, 2.0, 5.0)
 """Distances of the F-score."""
@@ -26,37 +29,25 @@ SURFACE_GAUGES = (
     "normal_consistency",
     *(f"f_score_{limit:g}mm" for limit in F_LIMITS_MM),
     "chamfer_aligned_mm",
+    "face_accuracy_mm",
+    "face_completeness_mm",
+    "face_chamfer_mm",
+    "face_chamfer_aligned_mm",
     "frame_shift_mm",
     "frame_turn_deg",
     "scale_percent",
     "eye_centre_mm",
 )
-"""What `measure_surfaces` gives: distances without alignment, the Chamfer distance after a rigid fit,
-the shift (at the world's origin), turn and size of a similarity fit, and how far the worse eye's
-sphere is from the reference's. The size is by how many per cent the field is larger than the reference.
-Shift and turn are the similarity's, since a rigid fit turns a difference of size into both."""
+"""What `measure_surfaces` gives: distances without alignment, the Chamfer distance after a rigid fit, the
+same in the NoW face crop, the shift (at the world's origin), turn and size of a similarity fit, and how
+far the worse eye's sphere is from the reference's. The size is by how many per cent the field is larger
+than the reference. Shift and turn are the similarity's, since a rigid fit turns a difference of size into
+both."""
 
 LEFT_EYE, RIGHT_EYE = EYE_LEFT + 1, EYE_RIGHT + 1
 """Values of `ReferenceView.parts`."""
 
 MIN_SAMPLES, MIN_EYE_PIXELS = 200, 40
-
-
-@dataclass(frozen=True)
-class SurfaceSamples:
-    """Points on a surface.
-
-    Attributes:
-        points: (N, 3) world units.
-        normals: (N, 3) unit, outward.
-    """
-
-    points: np.ndarray
-    normals: np.ndarray
-
-    def moved(self, alignment: Alignment) -> SurfaceSamples:
-        """The samples after an alignment."""
-        return SurfaceSamples(alignment.apply(self.points), self.normals @ alignment.rotation.T)
 
 
 @dataclass(frozen=True)
@@ -76,30 +67,6 @@ class SurfaceAgreement:
     chamfer_mm: float
     normal_consistency: float
     f_score: dict[str, float]
-
-
-@dataclass(frozen=True)
-class Alignment:
-    """x to scale * rotation @ x + translation, world units, never mirrored.
-
-    Attributes:
-        rotation: (3, 3).
-        translation: (3,).
-        scale: 1 for a rigid fit.
-    """
-
-    rotation: np.ndarray
-    translation: np.ndarray
-    scale: float = 1.0
-
-    @property
-    def angle(self) -> float:
-        """Of the rotation, radians."""
-        return float(np.arccos(np.clip(0.5 * (np.trace(self.rotation) - 1.0), -1.0, 1.0)))
-
-    def apply(self, points: np.ndarray) -> np.ndarray:
-        """Points (N, 3) moved."""
-        return self.scale * points @ self.rotation.T + self.translation
 
 
 def surface_samples(views: Sequence[DepthView], count: int, seed: int = 0) -> SurfaceSamples:
@@ -126,14 +93,22 @@ def surface_samples(views: Sequence[DepthView], count: int, seed: int = 0) -> Su
     return SurfaceSamples(stacked, directions)
 
 
-def surface_agreement(field: SurfaceSamples, reference: SurfaceSamples, metres_per_unit: float) -> SurfaceAgreement:
+def surface_agreement(
+    field: SurfaceSamples, reference: SurfaceSamples, metres_per_unit: float, crop: FaceCrop | None = None
+) -> SurfaceAgreement:
     """Distances both ways between surfaces of at least one sample each.
 
     The distance of a point is that to the tangent plane of the nearest sample within three sample
     spacings, and to the sample beyond.
+
+    Args:
+        crop: Judge points inside it only; each side is still measured to the whole of the other.
     """
     there, cosine_there = _distances(field.points, field.normals, reference)
     back, cosine_back = _distances(reference.points, reference.normals, field)
+    if crop is not None:
+        mine, theirs = crop.contains(field.points), crop.contains(reference.points)
+        there, cosine_there, back, cosine_back = there[mine], cosine_there[mine], back[theirs], cosine_back[theirs]
     there, back = 1000.0 * metres_per_unit * there, 1000.0 * metres_per_unit * back
     scores = {}
     for limit in F_LIMITS_MM:
@@ -141,66 +116,20 @@ def surface_agreement(field: SurfaceSamples, reference: SurfaceSamples, metres_p
         both = precision + recall
         scores[f"{limit:g}"] = 2.0 * precision * recall / both if both > 0 else 0.0
     accuracy, completeness = float(there.mean()), float(back.mean())
-    return SurfaceAgreement(
-        accuracy, completeness, 0.5 * (accuracy + completeness), float(0.5 * (cosine_there + cosine_back)), scores
-    )
+    cosine = 0.5 * float(cosine_there.mean() + cosine_back.mean())
+    return SurfaceAgreement(accuracy, completeness, 0.5 * (accuracy + completeness), cosine, scores)
 
 
-def _distances(points: np.ndarray, normals: np.ndarray, surface: SurfaceSamples) -> tuple[np.ndarray, float]:
+def _distances(points: np.ndarray, normals: np.ndarray, surface: SurfaceSamples) -> tuple[np.ndarray, np.ndarray]:
+    """Distances (N,) of points from a surface, and cosines (N,) between the normals."""
     tree = KDTree(surface.points)
     gap, nearest = tree.query(points)
     some = surface.points[:: max(1, len(surface.points) // 500)]
     spacing = float(np.median(np.asarray(tree.query(some, k=2)[0])[:, 1]))
     gap, nearest = np.asarray(gap), np.asarray(nearest)
     planes = np.abs(((points - surface.points[nearest]) * surface.normals[nearest]).sum(-1))
-    cosine = float((normals * surface.normals[nearest]).sum(-1).mean())
+    cosine = (normals * surface.normals[nearest]).sum(-1)
     return np.where(gap <= 3.0 * spacing + planes, np.minimum(planes, gap), gap), cosine
-
-
-def align(
-    moving: SurfaceSamples, fixed: SurfaceSamples, *, scale: bool = False, iterations: int = 25, count: int = 4000
-) -> Alignment:
-    """The rigid motion, or similarity, that best lays one surface on another.
-
-    Point-to-plane ICP (Chen and Medioni 1992) from the identity; pairs farther apart than three
-    times the median are left out.
-
-    Args:
-        moving: What is moved.
-        fixed: What it is laid on.
-        scale: Also find a scale.
-        iterations: At most.
-        count: Moving points used.
-    """
-    points = moving.points[:: max(1, len(moving.points) // count)]
-    tree = KDTree(fixed.points)
-    found = Alignment(np.eye(3), np.zeros(3))
-    for _ in range(iterations):
-        here = found.apply(points)
-        gap, nearest = tree.query(here)
-        kept = np.asarray(gap) <= 3.0 * np.median(gap) + 1e-9
-        pairs = np.asarray(nearest)[kept]
-        here, target, normal = here[kept], fixed.points[pairs], fixed.normals[pairs]
-        columns = [np.cross(here, normal), normal]
-        if scale:
-            columns.append((here * normal).sum(-1, keepdims=True))
-        step, *_ = np.linalg.lstsq(np.concatenate(columns, axis=1), ((target - here) * normal).sum(-1), rcond=None)
-        turn = _rotation(step[:3])
-        grow = 1.0 + float(step[6]) if scale else 1.0
-        found = Alignment(turn @ found.rotation, grow * turn @ found.translation + step[3:6], grow * found.scale)
-        if np.abs(step).max() < 1e-7:
-            break
-    return found
-
-
-def _rotation(vector: np.ndarray) -> np.ndarray:
-    """(3, 3) rotation about a vector (3,) by its length in radians."""
-    angle = float(np.linalg.norm(vector))
-    if angle < 1e-15:
-        return np.eye(3)
-    x, y, z = vector / angle
-    k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * k @ k
 
 
 def measure_surfaces(
@@ -209,7 +138,7 @@ def measure_surfaces(
     mesh: HeadMesh,
     metres_per_unit: float,
     *,
-    count: int = 30_000,
+    count: int = 100_000,
     seed: int = 0,
 ) -> dict[str, float]:
     """Surface distances as the frames are and after a rigid fit, the fits themselves, and the eyes' centres.
@@ -222,7 +151,7 @@ def measure_surfaces(
         seed: Of the samples.
 
     Returns:
-        Name to value; NaN where too little is seen.
+        `SURFACE_GAUGES` to value; NaN where too little is seen, or the mesh has no landmarks for a face crop.
     """
     mm = 1000.0 * metres_per_unit
     mine, theirs = surface_samples(views, count, seed), surface_samples(references, count, seed + 1)
@@ -235,12 +164,57 @@ def measure_surfaces(
         plain.accuracy_mm, plain.completeness_mm, plain.chamfer_mm, plain.normal_consistency,
         *(plain.f_score[f"{limit:g}"] for limit in F_LIMITS_MM),
         fitted.chamfer_mm,
+        *_face(mine, theirs, face_crop(mesh), metres_per_unit),
         float(np.linalg.norm(similar.translation)) * mm,
         float(np.rad2deg(similar.angle)),
         100.0 * (1.0 / similar.scale - 1.0),
         _eyes_apart(views, references, mesh) * mm,
     )  # fmt: skip
     return dict(zip(SURFACE_GAUGES, values, strict=True))
+
+
+def _face(
+    mine: SurfaceSamples, theirs: SurfaceSamples, crop: FaceCrop | None, metres_per_unit: float
+) -> tuple[float, float, float, float]:
+    """Accuracy, completeness and Chamfer distance in the face crop, and the last after a rigid fit of the crop, mm."""
+    nothing = float("nan")
+    if crop is None:
+        return nothing, nothing, nothing, nothing
+    inside = crop.contains(mine.points)
+    if min(inside.sum(), crop.contains(theirs.points).sum()) < MIN_SAMPLES:
+        return nothing, nothing, nothing, nothing
+    plain = surface_agreement(mine, theirs, metres_per_unit, crop)
+    rigid = align(SurfaceSamples(mine.points[inside], mine.normals[inside]), theirs)
+    fitted = surface_agreement(mine.moved(rigid), theirs, metres_per_unit, crop)
+    return plain.accuracy_mm, plain.completeness_mm, plain.chamfer_mm, fitted.chamfer_mm
+
+
+def surface_errors(
+    views: Sequence[DepthView],
+    references: Sequence[ReferenceView],
+    mesh: HeadMesh,
+    metres_per_unit: float,
+    *,
+    groups: int = 4,
+    count: int = 10_000,
+    seed: int = 0,
+) -> dict[str, float]:
+    """Half widths of the 95 % intervals of `measure_surfaces`: every n-th view left out in turn, other samples each.
+
+    Args:
+        groups: In how many parts the views are split; NaN for fewer than two views.
+        count: Samples a side.
+    """
+    groups = min(groups, len(views))
+    found = [
+        measure_surfaces(
+            [view for i, view in enumerate(views) if i % groups != left_out],
+            [view for i, view in enumerate(references) if i % groups != left_out],
+            mesh, metres_per_unit, count=count, seed=seed + 2 * left_out + 2,
+        )
+        for left_out in range(groups if groups > 1 else 0)
+    ]  # fmt: skip
+    return {name: jackknife([values[name] for values in found]) for name in SURFACE_GAUGES}
 
 
 def _eyes_apart(views: Sequence[DepthView], references: Sequence[ReferenceView], mesh: HeadMesh) -> float:

@@ -88,7 +88,7 @@ def progress(title: str, total: int, show: bool = True) -> Iterator[Callable[...
     """A progress line on standard error, with rate and time left; quiet when nobody watches or unless `show`.
 
     Yields:
-        A function `advance(steps, note="")`.
+        A function `advance(steps, note="", total=None)`; a total replaces the one before.
     """
     console = Console(stderr=True)
     columns = (
@@ -104,8 +104,8 @@ def progress(title: str, total: int, show: bool = True) -> Iterator[Callable[...
     with Progress(*columns, console=console, disable=not (show and sys.stderr.isatty()), transient=True) as bar:
         task = bar.add_task(title, total=total, rate="", note="")
 
-        def advance(steps: int = 1, note: str = "") -> None:
-            bar.update(task, advance=steps, note=note)
+        def advance(steps: int = 1, note: str = "", total: int | None = None) -> None:
+            bar.update(task, advance=steps, note=note, total=total)
             speed = bar.tasks[0].speed
             bar.update(task, rate="" if speed is None else f"{speed:.2f}/s")
 

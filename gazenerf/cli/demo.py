@@ -122,7 +122,8 @@ def stages(out: Path, source: list[str], quick: bool) -> list[Stage]:
         source: Arguments that choose subject and weights.
         quick: Fewer frames, coarser meshes, fewer views.
     """
-    frames, resolution, views = ("24", "96", "3") if quick else ("90", "160", "8")
+    frames, resolution = ("24", "96") if quick else ("90", "160")
+    fewer = ["--views", "3", "--gazes", "1", "--size", "128", "--no-error-mesh"] if quick else []
     orbit, grid, meshes, check = out / "orbit.mp4", out / "gaze-grid.png", out / "meshes", out / "check"
     return [
         Stage(
@@ -134,7 +135,7 @@ def stages(out: Path, source: list[str], quick: bool) -> list[Stage]:
             ["mesh", *source, "--out", str(meshes), "--resolution", resolution, "--overwrite"],
             lambda: _mesh_numbers(meshes),
         ),
-        Stage(["check", *source, "--out", str(check), "--views", views, "--overwrite"], lambda: _check_numbers(check)),
+        Stage(["check", *source, "--out", str(check), *fewer, "--overwrite"], lambda: _check_numbers(check)),
     ]
 
 
@@ -196,7 +197,7 @@ def _orbit_numbers(video: Path) -> dict[str, str]:
     return {
         "subject": about["subject"],
         "weights": about["weights"],
-        "video": f"{frames} frames of {about['width']}x{about['height']}",
+        "video": f"{frames} frames of {about['width']}x{about['height']}, drawn by the {about['speed']} path",
     }
 
 

@@ -20,7 +20,7 @@ COMMANDS = {
     "sheet": "put many gazes or views of a head into one labelled picture",
     "mesh": "extract face and eye meshes from the density volumes",
     "export": "write pictures with their cameras for nerfstudio and COLMAP",
-    "check": "measure a field's geometry against renders of the subject's head model",
+    "check": "measure whether a field, or a folder of frames, is one consistent 3D head",
     "synthesize": "render captures of synthetic people to train on",
     "train": "train a two-stream field on captures",
     "evaluate": "measure a field on views, gazes and people it has not seen",

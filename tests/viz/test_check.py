@@ -14,12 +14,13 @@ from gazenerf.errors import UserError
 from gazenerf.field.analytic import AnalyticField
 from gazenerf.geometry import Camera
 from gazenerf.head_model import HeadMesh
-from viz.agreement import blemish_mm2, compare, eroded, reproject
-from viz.check import Metric, check_cameras, check_subject
-from viz.faults import SmoothScene, scene_mesh
+from viz.agreement import blemish_mm2, compare, eroded
+from viz.check import Metric, check_cameras, check_mesh, check_subject
+from viz.exact_scene import SmoothScene, moved_mesh, scene_mesh
 from viz.heatmaps import depth_difference_picture, signed_colours, silhouette_picture
 from viz.reference import RENDERERS, render_reference, usable
 from viz.report import write_report
+from viz.reprojection import reproject
 from viz.surfaces import SURFACE_GAUGES
 
 SIZE = 96
@@ -57,18 +58,105 @@ def test_renderers_agree_with_the_truth_and_each_other(field, mesh):
 
 
 def test_an_exact_field_passes_everything(mesh):
-    # The analytic field paints irises and eyes with hard edges, and a warp is bilinear: at 96 px their steps
-    # alone hold it at 28 dB. What is asked here is whether the warp is right, so the picture has to be smooth.
-    working()
-    result = check_subject(SmoothScene(), mesh, views=6, size=SIZE)
+    # AnalyticField paints eyes with hard edges, which no interpolation warps well: the scene's are soft.
+    if not usable("open3d"):
+        pytest.skip("open3d does not start here: needs libusb-1.0-0 and libgomp1")
+    steps = []
+    result = check_subject(
+        SmoothScene(), mesh, views=5, size=160, renderers=("open3d",), bind=SmoothScene, mesh_at=lambda gaze: mesh,
+        progress=lambda done, total: steps.append((done, total)),
+    )  # fmt: skip
     values = {metric.name: metric.value for metric in result.metrics}
     assert values["depth_median_mm"] < 0.05
-    assert values["reprojection"] > 0.995
-    assert values["warp_worst_psnr"] > 50
-    assert values["chamfer_mm"] < 0.1 and values["f_score_1mm"] > 0.98 and values["eye_centre_mm"] < 0.05
-    assert values["blemish_mm2"] == 0.0
-    one = {"renderers_mm", "renderers_px"} if len(result.renderers) < 2 else set()
-    assert {metric.name for metric in result.metrics if metric.verdict != "pass"} == one, values
+    assert min(values["reprojection"], values["reprojection_face"], values["reprojection_eyes"]) > 0.995
+    assert min(values["warp_psnr"], values["warp_long_psnr"], values["warp_worst_psnr"]) > 40
+    assert values["gaze_error_deg"] < 0.2 and values["gaze_spread_deg"] < 0.2
+    assert values["chamfer_mm"] < 0.1 and values["face_chamfer_mm"] < 0.1 and values["f_score_1mm"] > 0.98
+    assert values["eye_centre_mm"] < 0.05 and values["eye_drift_mm"] < 0.05 and values["eye_radius_drift_mm"] < 0.05
+    assert values["blemish_mm2"] == 0.0 and values["picture_iou"] > 0.999 and values["unfollowed_share"] < 0.02
+    others = {"renderers_mm", "renderers_px"} | {name for name in values if name.startswith(("tsed", "sfm"))}
+    assert {metric.name for metric in result.metrics if metric.verdict != "pass"} == others, values
+    assert steps[-1][0] == steps[-1][1] and [done for done, _ in steps] == list(range(1, len(steps) + 1))
+    assert set(result.strips) == {"eyes", "mouth"} and not result.notes
+
+
+@pytest.mark.parametrize(("factor", "unit", "fix"), [
+    (100.0, "millimetres", "divide by 100"), (10.0, "centimetres", "divide by 10"), (0.1, "metres", "multiply by 10"),
+])  # fmt: skip
+def test_a_reference_in_other_units_is_told_by_its_factor(field, mesh, factor, unit, fix):
+    with pytest.raises(UserError, match=f"a head in {unit}.*{fix}$"):
+        check_mesh(replace(mesh, vertices=factor * mesh.vertices), field)
+    check_mesh(mesh, field)
+    with pytest.raises(UserError, match="give a head in world units"):
+        check_mesh(replace(mesh, vertices=1e-4 * mesh.vertices), field)
+    with pytest.raises(UserError, match="NaN"):
+        check_mesh(replace(mesh, vertices=np.nan * mesh.vertices), field)
+
+
+class Broken(SmoothScene):
+    """A scene whose pictures or depths are damaged."""
+
+    def __init__(self, damage: str) -> None:
+        super().__init__()
+        self.damage = damage
+
+    def render(self, camera, parts=("head",)):
+        found = super().render(camera, parts)
+        if self.damage == "nan":
+            found.images["head"][0, 0, 1] = np.nan
+        if self.damage == "size":
+            found.images["head"] = found.images["head"][:, :-1]
+        return found
+
+    def render_geometry(self, camera, part="head", normals=False):
+        view = super().render_geometry(camera, part, normals)
+        blind = self.damage == "blind" or (self.damage == "blind on one side" and camera.position[0] > 5.0)
+        return replace(view, depth=np.full_like(view.depth, np.nan), opacity=0.0 * view.opacity) if blind else view
+
+
+@pytest.mark.parametrize(("damage", "message"), [
+    ("nan", "1 pixels that are NaN"), ("size", "pictures and cameras must have one size"), ("blind", "sees the head"),
+])  # fmt: skip
+def test_damaged_views_are_refused_in_one_line(mesh, damage, message):
+    working()
+    with pytest.raises(UserError, match=message) as caught:
+        check_subject(Broken(damage), mesh, views=2, size=48, renderers=("open3d",))
+    assert "\n" not in str(caught.value)
+
+
+def test_views_without_depth_and_single_views_are_noted(mesh):
+    working()
+    result = check_subject(Broken("blind on one side"), mesh, views=3, size=48, renderers=("open3d",))
+    assert any("no depth" in note and "+30/+0" in note for note in result.notes)
+    assert np.isfinite(result.metric("depth_median_mm").value)
+    one = check_subject(SmoothScene(), mesh, views=1, size=48, renderers=("open3d",))
+    assert any("One view only" in note for note in one.notes)
+    assert one.metric("warp_psnr").verdict == "unmeasured" and np.isnan(one.metric("depth_median_mm").error)
+
+
+def test_two_sizes_and_two_seeds_agree_within_the_error_bars():
+    """Gauges in millimetres, degrees and shares; those counted in pixels are tied to the size by definition."""
+    working()
+    turn = np.deg2rad(1.0)
+    mesh = moved_mesh(scene_mesh(SmoothScene()), (1.0, 0.0, 0.5))
+
+    def scene(seed):
+        return SmoothScene(depth_noise=0.01, face_scale=1.01, camera_turn=turn, seed=seed)
+
+    first, second = (
+        check_subject(scene(seed), mesh, views=8, size=size, renderers=("open3d",), seed=seed)
+        for size, seed in ((96, 0), (128, 1))
+    )
+    sizeless = [m.name for m in first.metrics if np.isfinite(m.error) and m.unit in ("mm", "deg", "%")]
+    sizeless += ["f_score_1mm", "f_score_2mm", "normal_consistency", "silhouette_iou"]
+    assert len(sizeless) > 15
+    for name in sizeless:
+        a, b = first.metric(name), second.metric(name)
+        assert abs(a.value - b.value) <= a.error + b.error, (name, a.value, a.error, b.value, b.error)
+    again = check_subject(scene(1), mesh, views=8, size=96, renderers=("open3d",), seed=1)
+    for name in ("reprojection", "round_trip_px", "warp_psnr", "warp_long_psnr", "unfollowed_share"):
+        a, b = first.metric(name), again.metric(name)
+        assert abs(a.value - b.value) <= a.error + b.error or np.isnan(a.error), name
 
 
 @pytest.mark.parametrize("millimetres", [2.0, -2.0])
@@ -161,7 +249,7 @@ def test_the_report_is_one_file_and_the_numbers_are_complete(field, mesh, tmp_pa
     text = page.read_text()
     links = _Links()
     links.feed(text)
-    assert links.sources and all(source.startswith("data:image/png;base64,") for source in links.sources)
+    assert links.sources and all(source.startswith(("data:image/", "#")) for source in links.sources), links.sources
     assert "http://" not in text and "https://" not in text
     data = json.loads(numbers.read_text())
     assert {metric["name"] for metric in data["metrics"]} == {metric.name for metric in result.metrics}

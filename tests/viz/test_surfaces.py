@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from gazenerf.evaluation.face_crop import face_crop
 from gazenerf.field.analytic import AnalyticField
 from gazenerf.geometry import Camera
 from gazenerf.geometry.gaze import rotation_y
-from viz.faults import scene_mesh
+from viz.exact_scene import SmoothScene, scene_mesh
 from viz.reference import ReferenceView
+from viz.surface_fit import Alignment, SurfaceSamples, align
 from viz.surfaces import (
     SURFACE_GAUGES,
-    Alignment,
-    SurfaceSamples,
-    align,
     measure_surfaces,
     sphere_centre,
     surface_agreement,
+    surface_errors,
     surface_samples,
 )
 
@@ -129,3 +131,34 @@ def test_eyes_too_small_to_fit_are_not_measured_but_the_rest_is():
     assert 0 < (small.parts == 2).sum() < 40
     found = measure_surfaces([small], [small], mesh, 0.1)
     assert np.isnan(found["eye_centre_mm"]) and found["chamfer_mm"] == pytest.approx(0.0, abs=0.3)
+
+
+def test_the_face_crop_judges_the_face_and_the_rest_does_not_move_it():
+    """A dent in the chin's side of the head, outside the ball, moves the whole but not the face."""
+    scene = SmoothScene()
+    mesh, exact = scene_mesh(scene, 3), view(128)
+    rays_o, rays_d = exact.camera.rays()
+    points = rays_o + np.nan_to_num(exact.depth)[..., None] * rays_d
+    crop = face_crop(mesh)
+    assert crop is not None
+    outside, inside = ~crop.contains(points) & np.isfinite(exact.depth), crop.contains(points)
+    assert outside.sum() > 200 and inside.sum() > 1000
+    for where, moved in ((outside, "chamfer_mm"), (inside, "face_chamfer_mm")):
+        dented = replace(exact, depth=np.where(where, exact.depth - 0.03, exact.depth).astype(np.float32))
+        found = measure_surfaces([dented], [exact], mesh, 0.1)
+        assert found[moved] > 0.3
+        if where is outside:
+            assert found["face_chamfer_mm"] < 0.1
+        else:
+            assert 1.5 < found["face_accuracy_mm"] < 3.1 and found["face_chamfer_aligned_mm"] < 1.0
+    bare = replace(mesh, landmarks={})
+    assert np.isnan(measure_surfaces([exact], [exact], bare, 0.1)["face_chamfer_mm"])
+
+
+def test_errors_need_two_views_and_grow_with_disagreement():
+    mesh, views = scene_mesh(AnalyticField(), 3), [view(64), view(64)]
+    assert np.isnan(surface_errors(views[:1], views[:1], mesh, 0.1)["chamfer_mm"])
+    alike = surface_errors(views, views, mesh, 0.1)["surface_accuracy_mm"]
+    off = replace(views[1], depth=views[1].depth + np.float32(0.05))
+    apart = surface_errors([views[0], off], views, mesh, 0.1)["surface_accuracy_mm"]
+    assert apart > 10 * max(alike, 0.01)
