@@ -198,8 +198,10 @@ def plot(result: dict[str, Any], path: Path) -> None:
     scaling = result.get("scaling")
     if scaling is not None:
         for name, values in scaling["size"]["seconds"].items():
-            middle.plot([n * n for n in scaling["size"]["pixels"]], values, "o-", label=name)
-        middle.set(xscale="log", yscale="log", xlabel="pixels of the picture", ylabel="seconds a frame")
+            middle.plot(scaling["size"]["pixels"], values, "o-", label=name)
+        middle.set(xscale="log", yscale="log", xlabel="picture, px a side", ylabel="seconds a frame")
+        middle.set_xticks(scaling["size"]["pixels"], [str(n) for n in scaling["size"]["pixels"]])
+        middle.minorticks_off()
         middle.legend(frameon=False)
         for name in ("guided", "baked"):
             right.plot(scaling["frames"]["count"], scaling["frames"][f"{name}_seconds"], "o-", label=name)

@@ -25,7 +25,14 @@ DEFAULTS: dict[str, Any] = {
 PRESETS: dict[str, dict[str, Any]] = {
     "blender": {"formats": ("glb", "obj"), "smoothing": 10, "max_faces": 50_000, "texture": 2048},
     "web": {"formats": ("glb",), "resolution": 160, "smoothing": 10, "max_faces": 15_000, "texture": 1024},
-    "print": {"parts": ("head",), "formats": ("stl", "ply"), "resolution": 256, "smoothing": 20},
+    "print": {
+        "parts": ("head",),
+        "formats": ("stl", "ply"),
+        "resolution": 256,
+        "repair": True,
+        "seen": True,
+        "smoothing": 20,
+    },
     "research": {"formats": ("ply",), "points": 200_000, "volumes": ("nrrd", "npz")},
 }
 """Use to what differs from `DEFAULTS`."""
