@@ -133,7 +133,7 @@ def make_upsampler(renderer: NeuralRenderer, backend: str | None = None) -> Upsa
 
 
 def _openvino(renderer: NeuralRenderer) -> Upsampler:
-    import openvino
+    import openvino  # pyright: ignore[reportMissingImports]
 
     size, channels = 8, renderer.background_features.shape[1]
     with torch.no_grad():
