@@ -19,7 +19,7 @@ def write(path: Path, content: object) -> None:
 
 def orbit(args):
     write(args.out, "video")
-    about = {"subject": "ada", "weights": "abc", "width": 256, "height": 256, "frames": [{}] * 24}
+    about = {"subject": "ada", "weights": "abc", "width": 256, "height": 256, "speed": "baked", "frames": [{}] * 24}
     write(args.out.with_name(args.out.name + ".json"), about)
     print("the command's own table")
     return 0
@@ -91,12 +91,19 @@ def test_files_and_numbers_are_in_the_closing_table(commands, tmp_path, capsys):
 
 
 def test_quick_asks_for_less(tmp_path):
-    def number(stage, option):
-        return int(stage.words[stage.words.index(option) + 1])
-
-    quick, full = demo.stages(tmp_path, [], True), demo.stages(tmp_path, [], False)
-    for index, option in ((0, "--frames"), (2, "--resolution"), (3, "--views")):
-        assert number(quick[index], option) < number(full[index], option)
+    quick, full = (
+        {s.name: build_parser([s.name]).parse_args(s.words) for s in demo.stages(tmp_path, [], fast)}
+        for fast in (True, False)
+    )
+    for stage, option in (
+        ("orbit", "frames"),
+        ("mesh", "resolution"),
+        ("check", "views"),
+        ("check", "gazes"),
+        ("check", "size"),
+    ):
+        assert getattr(quick[stage], option) < getattr(full[stage], option)
+    assert quick["check"].no_error_mesh and not full["check"].no_error_mesh
 
 
 def test_subject_and_weights_reach_every_command(tmp_path):
