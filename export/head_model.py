@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
+from export.raycast import nearest_distance
 from gazenerf.evaluation.face_crop import face_crop
 from gazenerf.field.interface import BoundField
 from gazenerf.head_model.interface import FACE, HeadMesh
@@ -45,18 +46,3 @@ def distance_in_face_crop(mesh: trimesh.Trimesh, reference: HeadMesh) -> float:
         return float("nan")
     face = trimesh.Trimesh(reference.vertices, reference.part_faces(FACE), process=False)
     return float(np.median(nearest_distance(face, points)))
-
-
-def nearest_distance(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
-    """(N,) distance of points (N, 3) to a mesh; by open3d where it can be loaded, trimesh else."""
-    try:
-        import open3d as o3d
-    except (ImportError, OSError):
-        return np.asarray(trimesh.proximity.closest_point(mesh, points)[1])
-    scene = o3d.t.geometry.RaycastingScene()
-    tensor = o3d.core.Tensor.from_numpy
-    scene.add_triangles(
-        tensor(np.ascontiguousarray(mesh.vertices, dtype=np.float32)),
-        tensor(np.ascontiguousarray(mesh.faces, dtype=np.uint32)),
-    )
-    return scene.compute_distance(tensor(points.astype(np.float32))).numpy()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
+from export.raycast import ray_scene
 from export.triangles import from_pyvista, joined, to_pyvista
 
 EDGE_END = 1e-3
@@ -83,26 +84,22 @@ def close_holes(mesh: trimesh.Trimesh, radius: float) -> trimesh.Trimesh:
 
 def self_intersections(mesh: trimesh.Trimesh) -> int | None:
     """How many faces are pierced by an edge that none of their vertices is on; None without open3d."""
-    try:
-        import open3d as o3d
-    except (ImportError, OSError):
+    scene = ray_scene(mesh)
+    if scene is None:
         return None
     vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces)
-    scene = o3d.t.geometry.RaycastingScene()
-    tensor = o3d.core.Tensor.from_numpy
-    scene.add_triangles(tensor(vertices.astype(np.float32)), tensor(np.ascontiguousarray(faces, dtype=np.uint32)))
     edges = np.asarray(mesh.edges_unique)
     pierced = np.zeros(len(faces), dtype=bool)
     for begin in range(0, len(edges), RAYS):
         ends = edges[begin : begin + RAYS]
         origin, way = vertices[ends[:, 0]], vertices[ends[:, 1]] - vertices[ends[:, 0]]
         rays = np.concatenate([origin + EDGE_END * way, way], axis=1).astype(np.float32)
-        first = scene.cast_rays(tensor(rays))["t_hit"].numpy()
+        first = scene.cast_rays(rays)["t_hit"].numpy()
         hit = first < 1.0 - 2.0 * EDGE_END  # hardly any: listing all that the few meet is slow
         if not hit.any():
             continue
         ends, origin, way = ends[hit], origin[hit], way[hit]
-        found = scene.list_intersections(tensor(rays[hit]))
+        found = scene.list_intersections(rays[hit])
         ray, face, t = (found[name].numpy() for name in ("ray_ids", "primitive_ids", "t_hit"))
         near = (t > -0.01) & (t < 1.01)
         ray, face = ray[near].astype(np.int64), face[near].astype(np.int64)
