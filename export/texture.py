@@ -56,7 +56,7 @@ class TexturedMesh:
         return buffer.getvalue()
 
 
-BYTES_A_TEXEL = 140
+BYTES_A_TEXEL = 100
 """Peak bytes a texel while a texture is painted (measured, rounded up)."""
 
 

@@ -135,6 +135,12 @@ def test_other_sizes_are_refused(bound):
         extract_part(bound, "face", texture=1000)
 
 
+def test_a_texture_that_cannot_fit_says_how_large_it_would_be(bound, monkeypatch):
+    monkeypatch.setattr("export.texture.available_memory", lambda: 2**30)
+    with pytest.raises(UserError, match=r"1\.6 GiB, 1\.0 GiB are free; give a smaller --texture"):
+        extract_part(bound, "face", texture=4096)
+
+
 def test_what_is_cut_from_the_mesh_but_hides_it_in_a_picture_gives_no_colour(bound):
     both = extract_part(bound, "eyes", resolution=64, threshold=100.0, colours=False).mesh
     left = both.split()
