@@ -25,7 +25,7 @@ from viz.pairs import PairReading, load_perceptual, measure_pair, view_pairs
 from viz.reference import RENDERERS, ReferenceView, obstacle, render_reference, usable
 from viz.stream_views import StreamView, render_streams, stream_parts
 from viz.surfaces import measure_surfaces, surface_errors
-from viz.verdict import of_drift, of_eyes, of_pairs, of_renderers, of_surfaces, of_views, verdict
+from viz.verdict import of_drift, of_eyes, of_pairs, of_renderers, of_surfaces, of_views, reference_readings, verdict
 from viz.workers import pool
 
 __all__ = ["GAUGES", "CheckResult", "CheckedView", "Metric", "check_cameras", "check_names", "check_subject"]
@@ -151,7 +151,7 @@ def check_subject(
     )
     worst = sorted(checked, key=lambda view: -np.nan_to_num(view.agreement.depth_median_mm, nan=np.inf))
     return CheckResult(
-        metrics=verdict(measured),
+        metrics=verdict(measured, reference_readings(between)),
         views=tuple(worst),
         pairs=tuple((p.a, p.b, p.whole) for p in streams.get("head", ())),
         renderers=tuple(working),

@@ -24,7 +24,7 @@ class Metric:
         higher_is_better: Which side is beyond.
         group: Heading in the report.
         error: Half width of the value's 95 % interval, same unit; NaN when unknown.
-        reference: What the same gauge reads on the reference head's own pictures; NaN when unknown.
+        reference: What the same gauge reads between two renders of the reference head; NaN when unknown.
     """
 
     name: str

@@ -126,7 +126,7 @@ def verdict_table(metrics: Sequence[Metric]) -> str:
         if absent := [metric for metric in inside if metric.verdict == "unmeasured"]:
             names = ", ".join(escape(metric.label) for metric in absent)
             rows.append(f"<tr><td colspan={columns} class=quiet>Not measured: {names}.</td></tr>")
-    reference = "<th class='n wide'>reference head</th>" if known else ""
+    reference = "<th class='n wide'>two references</th>" if known else ""
     return (
         "<div class=scroll><table class=verdict><tr><th>measure</th><th class=n>value</th>"
         f"{reference}<th>verdict</th><th class=n>passes</th><th class='n wide'>warns</th></tr>"

@@ -48,9 +48,13 @@ def summary(values: Sequence[float], reduce: Callable[..., Any] = np.median) -> 
 
 def of_views(checked: Sequence[CheckedView]) -> Measured:
     """Field against the reference along the rays."""
+    blemish = summary([view.blemish_mm2 for view in checked], np.max)
+    return _along_rays([view.agreement for view in checked]) | {"blemish_mm2": blemish}
 
+
+def _along_rays(agreements: Sequence[Agreement]) -> Measured:
     def values(name: str) -> list[float]:
-        return [getattr(view.agreement, name) for view in checked]
+        return [getattr(agreement, name) for agreement in agreements]
 
     return {
         "depth_median_mm": summary(values("depth_median_mm")),
@@ -59,8 +63,12 @@ def of_views(checked: Sequence[CheckedView]) -> Measured:
         "depth_bias_mm": _absolute(summary(values("depth_bias_mm"))),
         "silhouette_iou": summary(values("silhouette_iou")),
         "normal_median_deg": summary(values("normal_median_deg")),
-        "blemish_mm2": summary([view.blemish_mm2 for view in checked], np.max),
     }
+
+
+def reference_readings(between: Sequence[tuple[str, str, str, Agreement]]) -> dict[str, float]:
+    """What the gauges along the rays read between two renders of the reference: no field can read less."""
+    return {name: value for name, (value, _) in _along_rays([agreement for *_, agreement in between]).items()}
 
 
 def of_renderers(between: Sequence[tuple[str, str, str, Agreement]]) -> Measured:

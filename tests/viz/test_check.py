@@ -281,3 +281,17 @@ def test_unknown_names_are_refused(field, mesh):
     working()
     with pytest.raises(UserError, match="unknown metric"):
         check_subject(field, mesh, views=1, size=48).metric("beauty")
+
+
+def test_readings_between_two_references_stand_beside_the_field_s(mesh):
+    names = [name for name in ("open3d", "pyrender") if usable(name)]
+    if len(names) < 2:
+        pytest.skip("open3d and pyrender do not both start here")
+    field = SmoothScene()
+    result = check_subject(field, moved_mesh(mesh, (0.0, 0.0, 2.0)), views=3, size=96, renderers=names)
+    depth = result.metric("depth_median_mm")
+    assert depth.reference < 0.1 < 1.0 < depth.value
+    assert result.metric("silhouette_iou").reference > 0.97
+    assert np.isnan(result.metric("warp_psnr").reference)
+    alone = check_subject(field, mesh, views=2, size=96, renderers=names[:1])
+    assert np.isnan(alone.metric("depth_median_mm").reference)
