@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -151,7 +150,7 @@ def _close_camera(eye: Eyeball) -> Camera:
     (column, row), _ = camera.project(eye.centre)
     half = 4 * int(np.ceil((eye.radius * camera.fx / np.linalg.norm(eye.centre - camera.position) + MARGIN) / 4))
     left, top = 4 * round((float(column) - half) / 4), 4 * round((float(row) - half) / 4)
-    return replace(camera, cx=camera.cx - left, cy=camera.cy - top, width=2 * half, height=2 * half)
+    return camera.cropped(left, top, 2 * half, 2 * half)
 
 
 def _first_hit(rays_o: np.ndarray, rays_d: np.ndarray, eye: Eyeball) -> np.ndarray:

@@ -109,8 +109,8 @@ def mesh_subject(
             for i, gaze in enumerate(sequence):
                 tell("gazes", i, len(sequence))
                 (folder / _numbered(i)).mkdir(parents=True)
+                turned = bind(gaze)
                 for part in parts:
-                    turned = bind(gaze)
                     found = extract(turned, part, threshold=levels.get(part, "auto"))
                     write_part(found, turned, folder / _numbered(i), formats, volumes)
     return dict(meshes.items())

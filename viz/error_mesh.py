@@ -14,6 +14,7 @@ from export.density_surface import density_surface
 from export.files import common_facts, in_metres
 from export.gltf import Node, glb
 from export.isosurface import METHODS
+from export.triangles import to_pyvista
 from gazenerf.field.interface import BoundField
 from gazenerf.head_model import HeadMesh
 from viz.heatmaps import signed_colours
@@ -117,9 +118,8 @@ def signed_distance(points: np.ndarray, surface: trimesh.Trimesh) -> np.ndarray:
     """
     import pyvista as pv
 
-    faces = np.concatenate([np.full((len(surface.faces), 1), 3), surface.faces], axis=1).ravel()
     cloud = pv.PolyData(np.ascontiguousarray(points, dtype=np.float64))
-    found = cloud.compute_implicit_distance(pv.PolyData(np.asarray(surface.vertices, dtype=np.float64), faces))
+    found = cloud.compute_implicit_distance(to_pyvista(surface))
     return np.asarray(found["implicit_distance"])
 
 

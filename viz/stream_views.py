@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-import torch
 
+from export.density_surface import has_eyes
 from gazenerf.errors import UserError
 from gazenerf.field.interface import BoundField, GeometryView, Part
 from gazenerf.geometry import Camera
@@ -37,11 +37,7 @@ class StreamView:
 
 def stream_parts(bound: BoundField) -> tuple[Part, ...]:
     """`head`, and `face` and `eyes` where the field has two streams."""
-    try:
-        bound.density(torch.zeros(1, 3), "eyes")
-    except UserError:
-        return ("head",)
-    return ("head", "face", "eyes")
+    return ("head", "face", "eyes") if has_eyes(bound) else ("head",)
 
 
 def render_streams(bound: BoundField, camera: Camera, parts: tuple[Part, ...]) -> StreamView:
@@ -99,13 +95,7 @@ def _face(bound: BoundField, head: GeometryView, eyes: GeometryView) -> Geometry
 def window_camera(camera: Camera, window: tuple[slice, slice]) -> Camera:
     """The camera of some rows and columns of a picture."""
     rows, columns = window
-    return replace(
-        camera,
-        cx=camera.cx - columns.start,
-        cy=camera.cy - rows.start,
-        width=columns.stop - columns.start,
-        height=rows.stop - rows.start,
-    )
+    return camera.cropped(columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start)
 
 
 def window_around(camera: Camera, points: np.ndarray, margin: float) -> tuple[slice, slice]:

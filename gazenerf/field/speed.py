@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gazenerf.errors import UserError
+from gazenerf.evaluation.metrics import psnr
 from gazenerf.field.baked import BakeReport, bake
 from gazenerf.field.interface import BoundField
 from gazenerf.field.model import TwoStreamField
@@ -104,11 +105,11 @@ def choose_path(
             warnings.warn(f"not baked: {error}; drawn by the {own} path", stacklevel=2)
             return Path(own, bind)
     started = time.perf_counter()
-    worst = np.inf
+    worst = 120.0
     for number in np.linspace(0, len(cameras) - 1, SAMPLED).round().astype(int):
         turned = head.at(gazes[number])
         ours, theirs = (view.render(cameras[number]).image for view in (turned, turned.bound))
-        worst = min(worst, -10.0 * float(np.log10(max(1e-12, np.square(ours - theirs).mean()))))
+        worst = min(worst, psnr(ours, theirs))
     seconds = time.perf_counter() - started
     if worst < least_psnr:
         warnings.warn(

@@ -170,6 +170,10 @@ class Camera:
             self, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy, width=width, height=height
         )
 
+    def cropped(self, left: int, top: int, width: int, height: int) -> Camera:
+        """The camera of a window of the picture whose upper left pixel is (left, top)."""
+        return replace(self, cx=self.cx - left, cy=self.cy - top, width=width, height=height)
+
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """World points (..., 3) to image coordinates (..., 2) and camera z (...,), world units."""
         pose = self.camera_from_world
