@@ -2,14 +2,37 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from gazenerf.errors import UserError
+
+
+def read_json(path: Path, most_bytes: int, *, absent: str, large: str) -> Any:
+    """The value in a stranger's JSON file of at most so many bytes.
+
+    Args:
+        path: The file.
+        most_bytes: Whole MiB; what is larger is not read.
+        absent, large: Ends of the message where the file is not there, or too large.
+
+    Raises:
+        UserError: it is missing, too large, unreadable, or no JSON.
+    """
+    try:
+        if path.stat().st_size > most_bytes:
+            raise UserError(f"{path} is larger than {most_bytes >> 20} MiB; {large}")
+        return json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise UserError(f"{path} does not exist; {absent}") from error
+    except (OSError, ValueError, RecursionError) as error:
+        raise UserError(f"{path} cannot be read as JSON: {str(error)[:120]}") from error
 
 
 @contextmanager

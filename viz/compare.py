@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from gazenerf.errors import UserError
-from gazenerf.files import whole_file
+from gazenerf.files import read_json, whole_file
 from viz.gauges import Metric
 from viz.page import counts, escape, number, page, pill, with_error
 
@@ -114,14 +113,8 @@ def _name(path: Path) -> str:
 
 def _read(path: Path) -> dict[str, Any]:
     path = path / "report.json" if path.is_dir() else path
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise UserError(f"{path} is larger than {MAX_BYTES >> 20} MiB; give a report.json of `gazenerf check`")
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise UserError(f"{path} does not exist; give a report.json of `gazenerf check`") from error
-    except (OSError, ValueError, RecursionError) as error:
-        raise UserError(f"{path} cannot be read as JSON: {str(error)[:120]}") from error
+    wanted = "give a report.json of `gazenerf check`"
+    data = read_json(path, MAX_BYTES, absent=wanted, large=wanted)
     good = isinstance(data, dict) and isinstance(data.get("definitions"), str) and isinstance(data.get("metrics"), list)
     if not good or not isinstance(data.get("about"), dict):
         raise UserError(f"{path} is no report.json of `gazenerf check`")

@@ -5,7 +5,6 @@ The files are strangers': every size is looked at before anything is read, and n
 
 from __future__ import annotations
 
-import json
 import math
 import warnings
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ import numpy as np
 from PIL import Image, UnidentifiedImageError
 
 from gazenerf.errors import UserError
+from gazenerf.files import read_json
 from gazenerf.geometry import Camera
 
 TRANSFORMS = "transforms.json"
@@ -158,14 +158,8 @@ def read_frames(folder: str | Path, *, most: int = MOST_FRAMES, longest_px: int 
 
 
 def _read_json(path: Path) -> dict[str, Any]:
-    try:
-        if path.stat().st_size > MAX_JSON_BYTES:
-            raise UserError(f"{path} is larger than {MAX_JSON_BYTES >> 20} MiB; is it a transforms.json?")
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise UserError(f"{path} does not exist; give a folder with a {TRANSFORMS}") from error
-    except (OSError, ValueError, RecursionError) as error:
-        raise UserError(f"{path} cannot be read as JSON: {str(error)[:120]}") from error
+    absent = f"give a folder with a {TRANSFORMS}"
+    data = read_json(path, MAX_JSON_BYTES, absent=absent, large="is it a transforms.json?")
     if not isinstance(data, dict):
         raise UserError(f"{path} holds no object; is it a nerfstudio or instant-ngp file?")
     return data
