@@ -15,10 +15,10 @@ import torch
 
 from benchmarks.measure import machine, timed, write_json
 from gazenerf.checkpoints import load_field
-from gazenerf.evaluation.metrics import psnr
-from gazenerf.field.baked import bake
 from gazenerf.field.model import TwoStreamField
 from gazenerf.geometry import Camera, Gaze
+from gazenerf.heads.baked import bake
+from gazenerf.image_metrics import psnr
 from gazenerf.subjects import Subject, bundled_subjects, load_subject
 
 GAZES = ((0.0, 10.0), (15.0, 0.0), (-15.0, 20.0), (25.0, 35.0), (-25.0, -35.0))

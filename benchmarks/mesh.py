@@ -27,17 +27,17 @@ import torch
 import trimesh
 from scipy.spatial import KDTree
 
-from export import extract_part
-from export.cleaning import keep_largest
-from export.densities import DensityGrid, sample_density
-from export.density_surface import KEPT_COMPONENTS, part_box
-from export.isosurface import isosurface
-from export.refine import refine_density
-from export.triangles import pieces
 from gazenerf.checkpoints import load_field
-from gazenerf.field.interface import BoundField, Part
+from gazenerf.export import extract_part
+from gazenerf.export.mesh.cleaning import keep_largest
+from gazenerf.export.mesh.triangles import pieces
+from gazenerf.export.surface.densities import DensityGrid, sample_density
+from gazenerf.export.surface.density_surface import KEPT_COMPONENTS, part_box
+from gazenerf.export.surface.isosurface import isosurface
+from gazenerf.export.surface.refine import refine_density
 from gazenerf.files import whole_file
 from gazenerf.geometry import Gaze
+from gazenerf.heads.interface import BoundField, Part
 from gazenerf.subjects import bundled_subjects, load_subject
 
 PARTS: tuple[Part, ...] = ("face", "eyes")

@@ -25,13 +25,13 @@ import torch
 from benchmarks.measure import exponent, flops, machine, matrix_rate, paired, peak_memory, ratio, timed, write_json
 from gazenerf.checkpoints import load_field
 from gazenerf.errors import UserError
-from gazenerf.evaluation.metrics import psnr
-from gazenerf.field.baked import bake
-from gazenerf.field.interface import BoundField
 from gazenerf.field.model import TwoStreamField
-from gazenerf.field.upsampler import BACKENDS, has_openvino, make_upsampler
 from gazenerf.files import whole_file
 from gazenerf.geometry import Camera, Gaze
+from gazenerf.heads.baked import bake
+from gazenerf.heads.interface import BoundField
+from gazenerf.heads.upsampler import BACKENDS, has_openvino, make_upsampler
+from gazenerf.image_metrics import psnr
 from gazenerf.subjects import Subject, bundled_subjects, load_subject
 
 VIEWS = ((0.0, 0.0, 0.0, 0.0), (25.0, 5.0, 10.0, -20.0), (-35.0, -10.0, -10.0, 20.0))

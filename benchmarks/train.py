@@ -20,11 +20,11 @@ import torch
 
 from benchmarks.measure import machine, write_json
 from gazenerf.data.captures import Capture
-from gazenerf.field.analytic import AnalyticField
 from gazenerf.field.config import PRESETS as FIELD_PRESETS
 from gazenerf.field.config import FieldConfig
 from gazenerf.field.model import TwoStreamField
 from gazenerf.geometry import Camera, Gaze
+from gazenerf.heads.analytic import AnalyticField
 from gazenerf.subjects import Codes
 from gazenerf.training.batches import BatchMaker
 from gazenerf.training.config import PRESETS

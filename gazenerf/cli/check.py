@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from gazenerf.errors import UserError
 
 if TYPE_CHECKING:
-    from viz.gauges import Metric
+    from gazenerf.viz.metrics.definitions import Metric
 
 HELP = "measure whether a field, or a folder of frames, is one consistent 3D head"
 REFERENCES = {"mitsuba": ("mitsuba",), "pyrender": ("pyrender",), "both": ("mitsuba", "pyrender")}
@@ -89,13 +89,13 @@ def run(args: argparse.Namespace) -> int:
 def _check_field(args: argparse.Namespace) -> int:
     from gazenerf.cli.common import checked_gaze, load_bound_factory, summary_table
     from gazenerf.head_model import load_head_model
-    from viz.check import check_cameras, check_subject
-    from viz.error_mesh import FILE, error_mesh
-    from viz.eye_gauges import gaze_grid
-    from viz.gauges import GAUGES
-    from viz.picture_gauges import measure_orbit
-    from viz.report import write_report
-    from viz.workers import pool
+    from gazenerf.viz.check.field import check_cameras, check_subject
+    from gazenerf.viz.check.workers import pool
+    from gazenerf.viz.metrics.definitions import GAUGES
+    from gazenerf.viz.metrics.eyes import gaze_grid
+    from gazenerf.viz.metrics.orbit_pictures import measure_orbit
+    from gazenerf.viz.report.error_mesh import FILE, error_mesh
+    from gazenerf.viz.report.write import write_report
 
     thresholds = _thresholds(args, GAUGES)
     gaze, views, size = checked_gaze(args.gaze), _given(args.views, VIEWS), _given(args.size, SIZE)
@@ -143,9 +143,9 @@ def _check_field(args: argparse.Namespace) -> int:
 
 def _check_frames(args: argparse.Namespace) -> int:
     from gazenerf.cli.common import summary_table
-    from viz.frames import LONGEST_PX, MOST_FRAMES, read_frames
-    from viz.frames_check import GAUGES, check_frames
-    from viz.frames_report import write_frames_report
+    from gazenerf.viz.check.frames import LONGEST_PX, MOST_FRAMES, read_frames
+    from gazenerf.viz.check.frames_check import GAUGES, check_frames
+    from gazenerf.viz.report.frames_report import write_frames_report
 
     thresholds = _thresholds(args, GAUGES)
     _refuse_existing(args)
@@ -166,7 +166,7 @@ def _compare(args: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.table import Table
 
-    from viz.compare import PAGE, compare_reports, summary, terminal_rows, write_comparison
+    from gazenerf.viz.check.compare import PAGE, compare_reports, summary, terminal_rows, write_comparison
 
     if args.fail_on:
         raise UserError("--fail-on gates a measurement, not a comparison; leave it out with --compare")
@@ -189,7 +189,7 @@ def _compare(args: argparse.Namespace) -> int:
 
 
 def _thresholds(args: argparse.Namespace, gauges: Sequence[Metric]) -> dict[str, float]:
-    from viz.gauges import check_names
+    from gazenerf.viz.metrics.definitions import check_names
 
     thresholds = parse_thresholds(args.fail_on)
     check_names(thresholds, gauges)
@@ -197,7 +197,7 @@ def _thresholds(args: argparse.Namespace, gauges: Sequence[Metric]) -> dict[str,
 
 
 def _refuse_existing(args: argparse.Namespace, *more: str, reports: bool = True) -> None:
-    from viz.report import NUMBERS, REPORT
+    from gazenerf.viz.report.write import NUMBERS, REPORT
 
     for name in (*((REPORT, NUMBERS) if reports else ()), *more):
         if (args.out / name).exists() and not args.overwrite:

@@ -18,8 +18,8 @@ from rich.table import Table
 from gazenerf.errors import UserError
 
 if TYPE_CHECKING:
-    from gazenerf.field.interface import BoundField
     from gazenerf.geometry import Gaze
+    from gazenerf.heads.interface import BoundField
     from gazenerf.subjects import Subject
 
 

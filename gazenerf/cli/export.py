@@ -42,8 +42,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Render, write, report."""
-    from export.datasets import write_dataset
     from gazenerf.cli.common import checked_gaze, load_bound_factory, progress, summary_table
+    from gazenerf.export.formats.datasets import write_dataset
 
     gaze = checked_gaze(args.gaze)
     if args.points < 1:
@@ -74,8 +74,8 @@ def plan_cameras(args: argparse.Namespace) -> list:
     """
     import numpy as np
 
-    from export.datasets import rings
     from gazenerf.cli.views import check_camera_arguments
+    from gazenerf.export.formats.datasets import rings
     from gazenerf.geometry.keyframes import keyframe_path, read_keyframes
     from gazenerf.geometry.paths import camera_path
 

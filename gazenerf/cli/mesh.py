@@ -91,11 +91,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Extract, write, report."""
-    from export import mesh_subject
-    from export.presets import RIGGED
-    from export.report import mesh_rows, rig_rows, sequence_rows
     from gazenerf.cli.common import checked_gaze, progress, summary_table
     from gazenerf.cli.views import beyond_training, binder, gaze_limits, load_scene, warn
+    from gazenerf.export import mesh_subject
+    from gazenerf.export.options import RIGGED
+    from gazenerf.export.summary import mesh_rows, rig_rows, sequence_rows
 
     gaze = checked_gaze(args.gaze)
     chosen = chosen_settings(args)
@@ -130,7 +130,7 @@ def run(args: argparse.Namespace) -> int:
 
 def chosen_settings(args: argparse.Namespace) -> dict[str, Any]:
     """Keyword arguments of `export.mesh_subject` from a preset and what was given beside it."""
-    from export.presets import settings
+    from gazenerf.export.options import settings
 
     given = {
         "parts": _tuple(args.parts),

@@ -20,7 +20,7 @@ HELP = "render a video that flies around a head while its eyes turn"
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     from gazenerf.cli.views import add_camera_arguments, add_scene_arguments
-    from viz.panels import PANELS
+    from gazenerf.viz.pictures.panels import PANELS
 
     add_scene_arguments(parser, ".mp4, .gif, .webp, frames/%%04d.png, or a folder for numbered pictures")
     eyes = parser.add_argument_group("eyes (degrees; pitch up, yaw to the subject's left)")
@@ -84,11 +84,11 @@ def run(args: argparse.Namespace) -> int:
         say,
         warn,
     )
-    from gazenerf.field.speed import choose_path
-    from viz.head_picture import head_pictures
-    from viz.orbit import frame_size, orbit_sidecar, render_orbit, sidecar_path, write_sidecar
-    from viz.panels import check_panels
-    from viz.video import check_video, write_video
+    from gazenerf.heads.choose import choose_path
+    from gazenerf.viz.pictures.orbit import frame_size, orbit_sidecar, render_orbit, sidecar_path, write_sidecar
+    from gazenerf.viz.pictures.panels import check_panels
+    from gazenerf.viz.pictures.reference_panel import head_pictures
+    from gazenerf.viz.pictures.video import check_video, write_video
 
     _check(args)
     cameras = plan_cameras(args)

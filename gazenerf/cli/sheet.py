@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
         say,
         warn,
     )
-    from viz.sheets import contact_sheet, gaze_grid
+    from gazenerf.viz.pictures.sheets import contact_sheet, gaze_grid
 
     check_camera_arguments(args)
     if args.out.suffix.lower() not in (".png", ".jpg", ".jpeg", ".webp"):

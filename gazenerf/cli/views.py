@@ -13,9 +13,9 @@ from rich.console import Console
 from rich.table import Table
 
 from gazenerf.errors import UserError
-from gazenerf.field.interface import BoundField
 from gazenerf.geometry import Gaze
 from gazenerf.geometry.paths import EYE_MIDPOINT, GazeRange
+from gazenerf.heads.interface import BoundField
 from gazenerf.subjects import Subject, bundled_subjects, load_subject
 
 T = TypeVar("T")

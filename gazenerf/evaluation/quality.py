@@ -11,11 +11,11 @@ import torch
 
 from gazenerf.data.captures import Capture
 from gazenerf.evaluation.iris import GazeReading, iris_cameras, iris_gaze
-from gazenerf.evaluation.metrics import eye_crops, psnr, ssim
 from gazenerf.evaluation.surface import MeshDistance, depth_errors, halved_depth, silhouette_iou, surface_points
 from gazenerf.field.model import TwoStreamField
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model.interface import HeadModel
+from gazenerf.image_metrics import eye_crops, psnr, ssim
 from gazenerf.subjects import Codes, Subject
 from gazenerf.training.gaze_training import VISIBLE_SHARE
 

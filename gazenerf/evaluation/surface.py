@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import KDTree
 
-from gazenerf.field.interface import GeometryView
 from gazenerf.head_model.interface import HeadMesh
+from gazenerf.heads.interface import GeometryView
 
 
 def halved_depth(depth: np.ndarray, max_step: float = 0.05) -> np.ndarray:

@@ -14,10 +14,10 @@ from gazenerf.field.neural_renderer import NeuralRenderer
 from gazenerf.field.streams import Stream, StreamCondition
 
 if TYPE_CHECKING:
-    from gazenerf.field.bound import BoundTwoStream
-    from gazenerf.field.occupancy import Occupancy
-    from gazenerf.field.upsampler import Upsampler
     from gazenerf.geometry import Gaze
+    from gazenerf.heads.bound import BoundTwoStream
+    from gazenerf.heads.occupancy import Occupancy
+    from gazenerf.heads.upsampler import Upsampler
     from gazenerf.subjects import Subject
 
 
@@ -79,8 +79,8 @@ class TwoStreamField(nn.Module):
         return hash(tuple((value.data_ptr(), value._version) for value in self.parameters()))
 
     def upsampler(self, backend: str) -> Upsampler:
-        """The renderer by a backend of `gazenerf.field.upsampler`, prepared once for the present weights."""
-        from gazenerf.field.upsampler import make_upsampler
+        """The renderer by a backend of `gazenerf.heads.upsampler`, prepared once for the present weights."""
+        from gazenerf.heads.upsampler import make_upsampler
 
         key = (backend, self.version)
         if key not in self._upsamplers:
@@ -92,7 +92,7 @@ class TwoStreamField(nn.Module):
 
     def bind(self, subject: Subject, gaze: Gaze, **options: Any) -> BoundTwoStream:
         """This field with a subject and a gaze fixed; see `BoundTwoStream` for the options."""
-        from gazenerf.field.bound import BoundTwoStream
+        from gazenerf.heads.bound import BoundTwoStream
 
         return BoundTwoStream(self, subject, gaze, **options)
 

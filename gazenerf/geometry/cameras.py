@@ -189,6 +189,16 @@ class Camera:
         u, v = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
         return np.stack([u, v], axis=-1)
 
+    def unproject(self, depth: np.ndarray, pixels: np.ndarray | None = None) -> np.ndarray:
+        """World points (..., 3) at Euclidean distances from the camera's centre, NaN where the distance is.
+
+        Args:
+            depth: (H, W) world units along the rays through the pixel centres, or (...) along those of `pixels`.
+            pixels: (..., 2) image coordinates; the pixel centres by default.
+        """
+        rays_o, rays_d = self.rays(pixels)
+        return rays_o + depth[..., None] * rays_d
+
     def rays(self, pixels: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Rays through image coordinates.
 

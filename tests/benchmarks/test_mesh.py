@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from benchmarks import mesh
-from export.densities import DensityGrid
-from gazenerf.field.analytic import AnalyticField
+from gazenerf.export.surface.densities import DensityGrid
+from gazenerf.heads.analytic import AnalyticField
 
 
 @pytest.fixture(scope="module")

@@ -8,11 +8,11 @@ import json
 import pytest
 import trimesh
 
-import export.colours
-from export.presets import DEFAULTS, PRESETS
+import gazenerf.export.appearance.colours
 from gazenerf.cli import mesh
 from gazenerf.cli.main import main
-from gazenerf.field.analytic import AnalyticField
+from gazenerf.export.options import DEFAULTS, PRESETS
+from gazenerf.heads.analytic import AnalyticField
 
 
 class Scene:
@@ -25,7 +25,7 @@ class Scene:
 @pytest.fixture
 def analytic(monkeypatch):
     """The command meshes the analytic field."""
-    monkeypatch.setattr(export.colours, "PICTURE", 96)
+    monkeypatch.setattr(gazenerf.export.appearance.colours, "PICTURE", 96)
     monkeypatch.setattr("gazenerf.cli.views.load_scene", lambda args: (Scene(), None))
 
 
@@ -60,7 +60,7 @@ def test_web_writes_textured_parts_and_a_rig(analytic, tmp_path, capsys):
 def test_a_preset_s_rig_can_be_left_out(analytic, tmp_path, monkeypatch):
     asked = []
     monkeypatch.setattr("export.mesh_subject", lambda *_, **settings: asked.append(settings["bind"] is not None) or {})
-    monkeypatch.setattr("export.report.rig_rows", lambda path: {})
+    monkeypatch.setattr("gazenerf.export.summary.rig_rows", lambda path: {})
     for words in ([], ["--no-rig"], ["--parts", "face"], ["--parts", "face", "--rig"]):
         assert main(["mesh", "--out", str(tmp_path), "--for", "web", *words]) == 0
     assert asked == [True, False, False, True]

@@ -11,8 +11,8 @@ from PIL import Image
 
 from gazenerf.cli import orbit, sheet, views
 from gazenerf.errors import UserError
-from gazenerf.field.interface import GeometryView, RenderedView
 from gazenerf.geometry import Camera, Gaze
+from gazenerf.heads.interface import GeometryView, RenderedView
 from gazenerf.subjects import Codes, Subject
 
 SUBJECT = Subject("nobody", Codes(np.zeros(2), np.zeros(1), np.zeros(1), np.zeros(27)))

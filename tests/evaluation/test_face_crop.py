@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from gazenerf.evaluation.face_crop import face_crop
-from gazenerf.field.analytic import AnalyticField
 from gazenerf.geometry import Gaze
 from gazenerf.head_model import load_head_model
+from gazenerf.heads.analytic import AnalyticField
 from gazenerf.subjects import Codes
-from viz.exact_scene import scene_mesh
+from gazenerf.viz.selftest.exact_scene import scene_mesh
 
 MARKS = {
     "36": np.array([-0.5, 0.3, 0.8]),

@@ -12,9 +12,9 @@ import trimesh
 from gazenerf.data.captures import Capture
 from gazenerf.evaluation.quality import UNITS, Instruments, evaluate_field
 from gazenerf.evaluation.surface import MeshDistance, depth_errors, halved_depth, silhouette_iou, surface_points
-from gazenerf.field.interface import GeometryView, RenderedView
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model.interface import HeadMesh
+from gazenerf.heads.interface import GeometryView, RenderedView
 from gazenerf.subjects import Codes
 
 SIZE = 48

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import torch
 
-from export import mesh_subject
 from gazenerf.errors import UserError
-from gazenerf.field.analytic import AnalyticField
+from gazenerf.export import mesh_subject
+from gazenerf.heads.analytic import AnalyticField
 
 QUICK = {"resolution": 32, "threshold": 100.0, "colours": False}
 
@@ -58,7 +58,7 @@ def test_a_box_that_misses_the_head(tmp_path, threshold, parts):
 
 
 def test_a_grid_that_cannot_fit(tmp_path, monkeypatch):
-    monkeypatch.setattr("export.densities.available_memory", lambda: 2**30)
+    monkeypatch.setattr("gazenerf.export.surface.densities.available_memory", lambda: 2**30)
     for settings in ({}, {"volumes": ("vti",)}, {"surface": "tsdf"}, {"threshold": "auto"}):
         refused(tmp_path / "out", "GiB.*lower --resolution", **{**settings, "resolution": 512})
 

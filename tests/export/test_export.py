@@ -11,13 +11,13 @@ import pytest
 import trimesh
 from scipy.ndimage import gaussian_filter, label
 
-from export import extract_part, mesh_subject
-from export.densities import DensityGrid, fill_enclosed, grid_shape, sample_density
-from export.isosurface import METHODS, isosurface
-from export.raycast import _cast_vtk, cast_rays
-from export.refine import refine_density
 from gazenerf.errors import UserError
-from gazenerf.field.analytic import AnalyticField
+from gazenerf.export import extract_part, mesh_subject
+from gazenerf.export.mesh.rays import _cast_vtk, cast_rays
+from gazenerf.export.surface.densities import DensityGrid, fill_enclosed, grid_shape, sample_density
+from gazenerf.export.surface.isosurface import METHODS, isosurface
+from gazenerf.export.surface.refine import refine_density
+from gazenerf.heads.analytic import AnalyticField
 
 HALF = 100.0
 
@@ -194,6 +194,6 @@ def test_existing_files_are_kept_without_overwrite(bound, tmp_path):
 
 
 def test_a_grid_that_cannot_fit_says_how_large_it_would_be(bound, monkeypatch):
-    monkeypatch.setattr("export.densities.available_memory", lambda: 2**30)
+    monkeypatch.setattr("gazenerf.export.surface.densities.available_memory", lambda: 2**30)
     with pytest.raises(UserError, match="GiB"):
         grid_shape(bound.box, 512)

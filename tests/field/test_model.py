@@ -8,7 +8,7 @@ from gazenerf.field.config import FieldConfig, ablations
 from gazenerf.field.model import TwoStreamField
 from gazenerf.geometry import Camera
 
-from .conftest import make_field, tiny_config
+from tests.field_doubles import make_field, tiny_config
 
 NAMES = ("vanilla", "vanilla+rotation", "two-stream", "two-stream+rotation")
 

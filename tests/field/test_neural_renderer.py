@@ -5,7 +5,7 @@ import torch
 
 from gazenerf.field.neural_renderer import NeuralRenderer, blur
 
-from .conftest import tiny_config
+from tests.field_doubles import tiny_config
 
 
 def test_blur_keeps_flat_images_and_reflects_borders() -> None:

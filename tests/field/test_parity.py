@@ -9,13 +9,13 @@ import pytest
 import torch
 
 from gazenerf.checkpoints import field_from_weights
-from gazenerf.field.bound import BoundTwoStream
 from gazenerf.field.model import TwoStreamField
 from gazenerf.field.published import config_from_weights, native_weights
 from gazenerf.geometry import Camera, Gaze
+from gazenerf.heads.bound import BoundTwoStream
 from gazenerf.subjects import Codes, Subject
 
-from .conftest import parity_file
+from tests.field_doubles import parity_file
 
 TOLERANCE = 1e-4
 FILES = ("gazenerf_a.npz", "gazenerf_b.npz", "headnerf_a.npz")

@@ -9,7 +9,7 @@ import torch.nn.functional as F
 from gazenerf.field.encoding import positional_encoding
 from gazenerf.field.streams import DENSITY_LEAK, Stream
 
-from .conftest import tiny_config
+from tests.field_doubles import tiny_config
 
 
 def inputs(stream: Stream, batch: int = 2) -> tuple[torch.Tensor, ...]:

@@ -1,0 +1,1 @@
+"""Colours, textures and coloured points of a surface."""

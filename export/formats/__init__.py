@@ -1,0 +1,1 @@
+"""Files: glTF, USD, OBJ, volumes, datasets of pictures."""

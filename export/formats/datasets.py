@@ -1,0 +1,222 @@
+"""Pictures with their cameras, as nerfstudio and COLMAP read them, in metres.
+
+Both count pixels as this project does: the upper left pixel's centre is (0.5, 0.5). nerfstudio's poses
+take OpenGL camera axes to the world, COLMAP's take the world to OpenCV camera axes.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from gazenerf.errors import UserError
+from gazenerf.export.appearance.colours import sample
+from gazenerf.export.appearance.points import PointCloud, write_points
+from gazenerf.export.formats.files import common_facts, write_sidecar
+from gazenerf.files import whole_folder
+from gazenerf.geometry import Camera
+from gazenerf.geometry.cameras import NEUTRAL_DISTANCE, NEUTRAL_FOV
+from gazenerf.heads.interface import PARTS, BoundField, Part, RenderedView
+
+LAYOUTS = ("nerfstudio", "colmap")
+
+RING_PITCHES = (-15.0, 10.0, 35.0)
+"""Pitch, degrees, of the rings that `rings` flies."""
+
+POINTS = 30_000
+SOLID = 0.95
+"""Opacity from which a pixel gives a point."""
+
+
+@dataclass(frozen=True)
+class SeenPoints:
+    """Points on the surface that one picture shows.
+
+    Attributes:
+        pixels: (N, 2) image coordinates in the picture.
+        points: (N, 3) world units.
+        colours: (N, 3) uint8 sRGB.
+    """
+
+    pixels: np.ndarray
+    points: np.ndarray
+    colours: np.ndarray
+
+
+def rings(
+    frames: int, *, size: int = 256, distance: float = NEUTRAL_DISTANCE, fov: float = NEUTRAL_FOV
+) -> list[Camera]:
+    """Cameras spread over full turns at the heights `RING_PITCHES`; each ring starts a little further on.
+
+    Raises:
+        UserError: fewer than one camera.
+    """
+    if frames < 1:
+        raise UserError(f"a dataset needs at least one picture, got --frames {frames}")
+    counts = [len(part) for part in np.array_split(np.arange(frames), len(RING_PITCHES))]
+    return [
+        Camera.orbit(
+            2.0 * np.pi * (i + j / len(RING_PITCHES)) / count, np.deg2rad(pitch), distance=distance, size=size, fov=fov
+        )
+        for j, (pitch, count) in enumerate(zip(RING_PITCHES, counts, strict=True))
+        for i in range(count)
+    ]
+
+
+def write_dataset(
+    bound: BoundField,
+    out: str | Path,
+    cameras: Sequence[Camera],
+    *,
+    part: Part = "head",
+    layouts: tuple[str, ...] = LAYOUTS,
+    points: int = POINTS,
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> dict[str, Path]:
+    """Render pictures and write them with their cameras to a folder.
+
+    `images/0000.png` and so on; `transforms.json` for nerfstudio; `sparse/0/{cameras,images,points3D}.txt`
+    for COLMAP; `points.ply`, surface points that the pictures show; `dataset.json`, what it all is.
+    Positions are in metres, so that meshes of the same head lie in the same place.
+
+    Args:
+        bound: What is rendered.
+        out: Folder.
+        cameras: World units, at least one.
+        part: Which picture.
+        layouts: Some of nerfstudio, colmap.
+        points: How many surface points, about.
+        overwrite: Replace files of these names.
+        progress: Called with (done, total).
+
+    Returns:
+        Kind to file or folder.
+
+    Raises:
+        UserError: unknown part or layout, no camera, or existing files without `overwrite`.
+    """
+    if unknown := sorted(set(layouts) - set(LAYOUTS)):
+        raise UserError(f"unknown layout {unknown[0]!r}; there are {', '.join(LAYOUTS)}")
+    if part not in PARTS:
+        raise UserError(f"unknown part {part!r}; there are {', '.join(PARTS)}")
+    if not cameras or not layouts:
+        raise UserError("give at least one camera and one layout")
+    out = Path(out)
+    written = {"pictures": out / "images", "points": out / "points.ply", "about": out / "dataset.json"}
+    written |= {"nerfstudio": out / "transforms.json"} if "nerfstudio" in layouts else {}
+    written |= {"colmap": out / "sparse" / "0"} if "colmap" in layouts else {}
+    if (taken := [path for path in written.values() if path.exists()]) and not overwrite:
+        raise UserError(f"{taken[0]} exists; add --overwrite or choose another --out")
+    scale = bound.metres_per_unit
+    names = [f"{i:04d}.png" for i in range(len(cameras))]
+    seen: list[SeenPoints] = []
+    rng = np.random.default_rng(0)
+    with whole_folder(out) as folder:
+        (folder / "images").mkdir()
+        for i, camera in enumerate(cameras):
+            view = bound.render(camera, (part,))
+            pixels = np.clip(np.round(255.0 * view.images[part]), 0, 255).astype(np.uint8)
+            Image.fromarray(pixels).save(folder / "images" / names[i])
+            seen.append(_seen_points(view, part, -(-points // len(cameras)), rng))
+            if progress is not None:
+                progress(i + 1, len(cameras))
+        metric = [in_metres(camera, scale) for camera in cameras]
+        cloud = [SeenPoints(shown.pixels, scale * shown.points, shown.colours) for shown in seen]
+        toward = [camera.position - shown.points for camera, shown in zip(metric, cloud, strict=True)]
+        everything = PointCloud(
+            np.concatenate([shown.points for shown in cloud]),
+            np.concatenate([line / np.linalg.norm(line, axis=1, keepdims=True) for line in toward]),
+            np.concatenate([shown.colours for shown in cloud]),
+        )
+        write_points(everything, 1.0, folder / "points.ply")
+        if "nerfstudio" in layouts:
+            text = json.dumps(transforms(metric, names), indent=1, allow_nan=False)
+            (folder / "transforms.json").write_text(text + "\n", encoding="ascii")
+        if "colmap" in layouts:
+            model = folder / "sparse" / "0"
+            model.mkdir(parents=True)
+            for name, text in colmap_model(metric, names, cloud).items():
+                (model / name).write_text(text, encoding="ascii")
+        facts = {"part": part, "pictures": len(cameras), "layouts": list(layouts), "points": len(everything.points)}
+        pixel = {"pixel_convention": "the centre of the upper left pixel is (0.5, 0.5)"}
+        write_sidecar(folder / "dataset.json", common_facts(bound) | facts | pixel)
+    return written
+
+
+def in_metres(camera: Camera, metres_per_unit: float) -> Camera:
+    """A camera whose world is in metres instead of world units."""
+    pose = camera.world_from_camera.copy()
+    pose[:3, 3] *= metres_per_unit
+    return Camera(camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height, pose)
+
+
+def _seen_points(view: RenderedView, part: Part, count: int, rng: np.random.Generator) -> SeenPoints:
+    geometry = view.geometry[part]
+    rows, columns = np.nonzero(np.isfinite(geometry.depth) & (geometry.opacity >= SOLID))
+    chosen = rng.choice(len(rows), min(count, len(rows)), replace=False)
+    rows, columns = rows[chosen], columns[chosen]
+    ratio = np.array([view.camera.width / geometry.camera.width, view.camera.height / geometry.camera.height])
+    pixels = ratio * np.stack([columns + 0.5, rows + 0.5], axis=1)
+    rays_o, rays_d = view.camera.rays(pixels)
+    points = rays_o + geometry.depth[rows, columns, None] * rays_d
+    colours = sample(view.images[part].astype(np.float32), *(pixels - 0.5).T)
+    return SeenPoints(pixels, points, np.clip(np.round(255.0 * colours), 0, 255).astype(np.uint8))
+
+
+def transforms(cameras: Sequence[Camera], names: Sequence[str]) -> dict[str, Any]:
+    """The content of a transforms.json: intrinsics a frame, poses with OpenGL camera axes."""
+    frames = [
+        {
+            "file_path": f"images/{name}",
+            "fl_x": camera.fx,
+            "fl_y": camera.fy,
+            "cx": camera.cx,
+            "cy": camera.cy,
+            "w": camera.width,
+            "h": camera.height,
+            "transform_matrix": camera.world_from_opengl_camera.tolist(),
+        }
+        for camera, name in zip(cameras, names, strict=True)
+    ]
+    return {"camera_model": "OPENCV", "ply_file_path": "points.ply", "frames": frames}
+
+
+def colmap_model(cameras: Sequence[Camera], names: Sequence[str], seen: Sequence[SeenPoints]) -> dict[str, str]:
+    """The texts of a COLMAP model: cameras.txt, images.txt, points3D.txt; each point in one picture's track."""
+    lenses: dict[tuple[float, ...], int] = {}
+    images, points, first = [], [], 1
+    for i, (camera, name, shown) in enumerate(zip(cameras, names, seen, strict=True), 1):
+        lens = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+        number = lenses.setdefault(lens, len(lenses) + 1)
+        pose = camera.camera_from_world
+        x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat()
+        images.append(f"{i} {_numbers((w, x, y, z, *pose[:3, 3]))} {number} {name}")
+        ids = range(first, first + len(shown.points))
+        images.append(" ".join(f"{u:.3f} {v:.3f} {n}" for (u, v), n in zip(shown.pixels, ids, strict=True)))
+        points += [
+            f"{n} {p[0]:.9g} {p[1]:.9g} {p[2]:.9g} {c[0]} {c[1]} {c[2]} 0 {i} {k}"
+            for k, (n, p, c) in enumerate(zip(ids, shown.points, shown.colours, strict=True))
+        ]
+        first += len(shown.points)
+    listed = [f"{number} PINHOLE {lens[0]} {lens[1]} {_numbers(lens[2:])}" for lens, number in lenses.items()]
+    return {
+        "cameras.txt": _text("CAMERA_ID MODEL WIDTH HEIGHT FX FY CX CY", listed),
+        "images.txt": _text("IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then X Y POINT3D_ID of its points", images),
+        "points3D.txt": _text("POINT3D_ID X Y Z R G B ERROR IMAGE_ID POINT2D_IDX", points),
+    }
+
+
+def _numbers(values: Sequence[float]) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+def _text(columns: str, lines: Sequence[str]) -> str:
+    return "\n".join([f"# {columns}; metres", *lines]) + "\n"

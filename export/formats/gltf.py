@@ -1,0 +1,259 @@
+"""Binary glTF 2.0: coloured or textured nodes in a hierarchy, and rotations and morphs that move them.
+
+trimesh writes static scenes with 8-bit colours; a rig needs animation, and 8 linear bits band in
+dark skin. Colours are written as 16-bit linear values.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from gazenerf import __version__
+from gazenerf.export.appearance.colours import linear_from_srgb, vertex_colours
+
+FLOAT, UINT32, UINT16 = 5126, 5125, 5123
+VERTICES, INDICES = 34962, 34963
+IDENTITY = (0.0, 0.0, 0.0, 1.0)
+LINEAR, MIPMAPPED, CLAMPED = 9729, 9987, 33071
+
+
+@dataclass(frozen=True)
+class Texture:
+    """A base colour for a mesh.
+
+    Attributes:
+        uv: (V, 2) from the picture's upper left corner, v down.
+        png: The bytes of an sRGB PNG file.
+    """
+
+    uv: np.ndarray
+    png: bytes
+
+
+@dataclass(frozen=True)
+class Morph:
+    """A shape that a mesh can be blended into (a morph target).
+
+    Attributes:
+        name: Its name.
+        offsets: (V, 3) from the mesh's vertices, metres; mostly zero.
+        normals: (V, 3) change of the mesh's unit normals.
+    """
+
+    name: str
+    offsets: np.ndarray
+    normals: np.ndarray
+
+
+@dataclass(frozen=True)
+class Node:
+    """A node of a scene, metres.
+
+    Attributes:
+        name: Its name.
+        mesh: Geometry about the node's origin, None for a group.
+        texture: Base colour of the mesh; vertex colours are left out where it is given.
+        translation: (3,) of the node's origin in its parent.
+        rotation: Quaternion x, y, z, w.
+        roughness: Of the material; metallic is always 0.
+        children: Nodes below.
+        morphs: Shapes of the mesh, none of which is blended in at rest.
+    """
+
+    name: str
+    mesh: trimesh.Trimesh | None = None
+    translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rotation: tuple[float, float, float, float] = IDENTITY
+    roughness: float = 0.8
+    children: tuple[Node, ...] = ()
+    texture: Texture | None = None
+    morphs: tuple[Morph, ...] = ()
+
+
+@dataclass(frozen=True)
+class Animation:
+    """Rotations of nodes and blends of their morphs over time.
+
+    Attributes:
+        name: Its name.
+        times: (T,) seconds, ascending.
+        rotations: Node name to (T, 4) quaternions x, y, z, w.
+        weights: Node name to (T, M) shares of its M morphs.
+    """
+
+    name: str
+    times: np.ndarray
+    rotations: dict[str, np.ndarray]
+    weights: dict[str, np.ndarray] = field(default_factory=dict)
+
+
+@dataclass
+class _Writer:
+    tree: dict[str, Any]
+    data: bytearray = field(default_factory=bytearray)
+
+    def accessor(
+        self, values: np.ndarray, component: int, kind: str, *, target: int | None = None, limits: bool = False,
+        normalized: bool = False,
+    ) -> int:  # fmt: skip
+        """Append an array to the buffer; its accessor's index."""
+        entry: dict[str, Any] = {
+            "bufferView": self.view(values.tobytes(), target),
+            "componentType": component,
+            "count": len(values),
+            "type": kind,
+        }
+        if normalized:
+            entry["normalized"] = True
+        if limits:
+            flat = values.reshape(len(values), -1)
+            entry |= {"min": flat.min(axis=0).tolist(), "max": flat.max(axis=0).tolist()}
+        self.tree["accessors"].append(entry)
+        return len(self.tree["accessors"]) - 1
+
+    def sparse(self, values: np.ndarray) -> int:
+        """Append (V, 3) values that are mostly zero; their accessor's index."""
+        rows = np.flatnonzero(np.any(values != 0.0, axis=1))
+        rows = rows if len(rows) else np.array([0])
+        entry = {
+            "componentType": FLOAT,
+            "count": len(values),
+            "type": "VEC3",
+            "min": values.min(axis=0).tolist(),
+            "max": values.max(axis=0).tolist(),
+            "sparse": {
+                "count": len(rows),
+                "indices": {"bufferView": self.view(rows.astype("<u4").tobytes()), "componentType": UINT32},
+                "values": {"bufferView": self.view(values[rows].tobytes())},
+            },
+        }
+        self.tree["accessors"].append(entry)
+        return len(self.tree["accessors"]) - 1
+
+    def view(self, data: bytes, target: int | None = None) -> int:
+        """Append bytes to the buffer, on a boundary of four; their view's index."""
+        self.data.extend(b"\0" * (-len(self.data) % 4))
+        view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(data)}
+        self.tree["bufferViews"].append(view if target is None else view | {"target": target})
+        self.data.extend(data)
+        return len(self.tree["bufferViews"]) - 1
+
+    def texture(self, png: bytes, name: str) -> int:
+        """Append a picture and how it is looked up; its texture's index."""
+        for key in ("images", "samplers", "textures"):
+            self.tree.setdefault(key, [])
+        self.tree["images"].append({"name": name, "mimeType": "image/png", "bufferView": self.view(png)})
+        if not self.tree["samplers"]:
+            self.tree["samplers"].append(
+                {"magFilter": LINEAR, "minFilter": MIPMAPPED, "wrapS": CLAMPED, "wrapT": CLAMPED}
+            )
+        self.tree["textures"].append({"sampler": 0, "source": len(self.tree["images"]) - 1})
+        return len(self.tree["textures"]) - 1
+
+    def mesh(self, node: Node) -> int:
+        """Append the mesh of a node; its index."""
+        mesh, name, texture = node.mesh, node.name, node.texture
+        assert mesh is not None
+        normals = np.asarray(mesh.vertex_normals, dtype=np.float64)
+        normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        attributes = {
+            "POSITION": self.accessor(
+                np.asarray(mesh.vertices, dtype="<f4"), FLOAT, "VEC3", target=VERTICES, limits=True
+            ),
+            "NORMAL": self.accessor(normals.astype("<f4"), FLOAT, "VEC3", target=VERTICES),
+        }
+        look: dict[str, Any] = {"metallicFactor": 0.0, "roughnessFactor": node.roughness}
+        colours = vertex_colours(mesh)
+        if texture is not None:
+            uv = np.asarray(texture.uv, dtype="<f4")
+            attributes["TEXCOORD_0"] = self.accessor(uv, FLOAT, "VEC2", target=VERTICES)
+            look["baseColorTexture"] = {"index": self.texture(texture.png, name)}
+        elif colours is not None:
+            rgba = np.ones((len(colours), 4))
+            rgba[:, :3] = linear_from_srgb(colours[:, :3] / 255.0)
+            attributes["COLOR_0"] = self.accessor(
+                np.round(65535.0 * rgba).astype("<u2"), UINT16, "VEC4", target=VERTICES, normalized=True
+            )
+        indices = self.accessor(np.asarray(mesh.faces, dtype="<u4").reshape(-1), UINT32, "SCALAR", target=INDICES)
+        self.tree["materials"].append({"name": name, "pbrMetallicRoughness": look})
+        primitive = {"attributes": attributes, "indices": indices, "material": len(self.tree["materials"]) - 1}
+        entry: dict[str, Any] = {"name": name, "primitives": [primitive]}
+        if node.morphs:
+            primitive["targets"] = [
+                {
+                    "POSITION": self.sparse(morph.offsets.astype("<f4")),
+                    "NORMAL": self.sparse(morph.normals.astype("<f4")),
+                }
+                for morph in node.morphs
+            ]
+            entry |= {
+                "weights": [0.0] * len(node.morphs),
+                "extras": {"targetNames": [morph.name for morph in node.morphs]},
+            }
+        self.tree["meshes"].append(entry)
+        return len(self.tree["meshes"]) - 1
+
+    def node(self, node: Node) -> int:
+        """Append a node and those below; its index."""
+        entry: dict[str, Any] = {"name": node.name}
+        if node.mesh is not None:
+            entry["mesh"] = self.mesh(node)
+        if any(node.translation):
+            entry["translation"] = [float(value) for value in node.translation]
+        if tuple(node.rotation) != IDENTITY:
+            entry["rotation"] = [float(value) for value in node.rotation]
+        if node.children:
+            entry["children"] = [self.node(child) for child in node.children]
+        self.tree["nodes"].append(entry)
+        return len(self.tree["nodes"]) - 1
+
+    def animation(self, animation: Animation) -> dict[str, Any]:
+        """Append an animation's samples; its entry."""
+        names = [node["name"] for node in self.tree["nodes"]]
+        time = self.accessor(animation.times.astype("<f4"), FLOAT, "SCALAR", limits=True)
+        entry: dict[str, Any] = {"name": animation.name, "samplers": [], "channels": []}
+        moved = [(name, "rotation", turns, "VEC4") for name, turns in animation.rotations.items()]
+        moved += [(name, "weights", shares.reshape(-1), "SCALAR") for name, shares in animation.weights.items()]
+        for name, path, values, kind in moved:
+            output = self.accessor(values.astype("<f4"), FLOAT, kind)
+            entry["channels"].append(
+                {"sampler": len(entry["samplers"]), "target": {"node": names.index(name), "path": path}}
+            )
+            entry["samplers"].append({"input": time, "output": output, "interpolation": "LINEAR"})
+        return entry
+
+
+def glb(root: Node, animations: tuple[Animation, ...] = ()) -> bytes:
+    """A scene as the bytes of a .glb file.
+
+    Args:
+        root: The scene's only root.
+        animations: Clips; they name nodes under `root`.
+
+    Raises:
+        ValueError: a clip names a node that is not there.
+    """
+    writer = _Writer(
+        {
+            "asset": {"version": "2.0", "generator": f"gazenerf {__version__}"},
+            "scene": 0,
+            "scenes": [{}],
+            **{key: [] for key in ("nodes", "meshes", "materials", "accessors", "bufferViews")},
+        }
+    )
+    writer.tree["scenes"][0]["nodes"] = [writer.node(root)]
+    if animations:
+        writer.tree["animations"] = [writer.animation(animation) for animation in animations]
+    writer.data.extend(b"\0" * (-len(writer.data) % 4))
+    writer.tree["buffers"] = [{"byteLength": len(writer.data)}]
+    text = json.dumps(writer.tree, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text
+    chunks += struct.pack("<I4s", len(writer.data), b"BIN\0") + bytes(writer.data)
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks

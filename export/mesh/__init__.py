@@ -1,0 +1,1 @@
+"""Triangle meshes: cleaning, repair, rays, spheres."""

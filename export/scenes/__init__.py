@@ -1,0 +1,1 @@
+"""Scenes that move: the rig and gaze sequences."""

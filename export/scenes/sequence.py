@@ -1,0 +1,231 @@
+"""A head that looks at one gaze after another: eyes that turn, and a face whose lids follow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+import trimesh
+from scipy import sparse
+
+from gazenerf.errors import UserError
+from gazenerf.export.formats.gltf import Morph
+from gazenerf.export.mesh.sphere_fit import Eyeball
+from gazenerf.export.scenes.rig import Scene, eyes_clip
+from gazenerf.export.surface.normals import CHUNK
+from gazenerf.geometry import Gaze
+from gazenerf.heads.interface import BoundField
+
+MAX_GAZES = 240
+
+REACH_MM = 4.0
+"""How far along its normal a vertex looks for the surface of another gaze."""
+
+STEPS = 33
+"""Densities along that way."""
+
+LEAST_MM = 0.05
+"""Moves smaller than this are left out."""
+
+NEAR, FULL = 3.0, 2.25
+"""Radii from an eye's centre within which the face moves at all, and follows in full: a trained face
+trembles by tenths of a millimetre everywhere when the gaze changes, which is no motion of the head."""
+
+FPS = 12.0
+"""Gazes a second in the clip."""
+
+
+@dataclass(frozen=True)
+class Follow:
+    """How the face follows one gaze.
+
+    Attributes:
+        moves: (V,) world units along each vertex's normal.
+        found: (V,) bool: the surface of both gazes was looked for and found along the normal.
+        before_mm, after_mm: Median distance between the vertices that move and the surface at this
+            gaze, along the normals of the mesh at rest, before and after they move; NaN where none does.
+    """
+
+    moves: np.ndarray
+    found: np.ndarray
+    before_mm: float
+    after_mm: float
+
+
+def face_crossings(bound: BoundField, points: np.ndarray, normals: np.ndarray, level: float) -> np.ndarray:
+    """How far from points (V, 3) along normals (V, 3) the face's density falls to a level, (V,) world units.
+
+    The nearest such place within `REACH_MM`, by linear interpolation between `STEPS` densities; NaN
+    where there is none.
+    """
+    reach = REACH_MM / 1000.0 / bound.metres_per_unit
+    steps = np.linspace(-reach, reach, STEPS)
+    out = np.full(len(points), np.nan)
+    rows = max(1, CHUNK // STEPS)
+    for start in range(0, len(points), rows):
+        part = slice(start, start + rows)
+        places = points[part, None] + steps[:, None] * normals[part, None]
+        flat = torch.from_numpy(places.reshape(-1, 3).astype(np.float32))
+        with torch.no_grad():
+            density = bound.density(flat, "face").float().numpy().reshape(len(places), STEPS)
+        inner, outer = density[:, :-1], density[:, 1:]
+        crossed = (inner > level) & (outer <= level)
+        share = (inner - level) / np.where(crossed, inner - outer, 1.0)
+        at = np.where(crossed, steps[:-1] + share * (steps[1] - steps[0]), np.inf)
+        nearest = np.abs(at).argmin(axis=1)
+        found = at[np.arange(len(at)), nearest]
+        out[part] = np.where(np.isfinite(found), found, np.nan)
+    return out
+
+
+def follow_gaze(
+    bound: BoundField,
+    rest: np.ndarray,
+    points: np.ndarray,
+    normals: np.ndarray,
+    links: sparse.csr_matrix,
+    share: np.ndarray,
+    level: float,
+) -> Follow:
+    """How the vertices of a face move when the gaze changes.
+
+    Each goes along its normal as far as the surface does. One that lies on no surface of the density
+    (walls of the eye sockets, closed borders) or whose surface goes out of reach takes the mean of its
+    neighbours' moves.
+
+    Args:
+        bound: At the new gaze.
+        rest: (V,) `face_crossings` at the mesh's own gaze.
+        points, normals: (V, 3) of the mesh, no two points at one place.
+        links: (V, V) neighbours of each vertex.
+        share: (V,) of the move that each makes; where it is 0 nothing is asked.
+        level: Density of the surface.
+    """
+    mm = 1000.0 * bound.metres_per_unit
+    near = share > 0
+    there = np.full(len(points), np.nan)
+    there[near] = face_crossings(bound, points[near], normals[near], level)
+    found = np.isfinite(rest) & np.isfinite(there)
+    moves = np.where(found, there - rest, 0.0)
+    moves[np.abs(moves) < LEAST_MM / mm] = 0.0
+    degree = np.maximum(np.asarray(links.sum(axis=1)).ravel(), 1.0)
+    for _ in range(8):
+        moves = np.where(found | ~near, moves, (links @ moves) / degree)
+    for _ in range(2):
+        moves = 0.5 * moves + 0.5 * (links @ moves) / degree
+    moves *= share
+    moves[np.abs(moves) < 0.5 * LEAST_MM / mm] = 0.0
+    moved = found & (moves != 0.0)
+    before, after = np.abs(there - rest)[moved] * mm, np.abs(there - rest - moves)[moved] * mm
+    nothing = float("nan")
+    return Follow(
+        moves,
+        found,
+        float(np.median(before)) if before.size else nothing,
+        float(np.median(after)) if after.size else nothing,
+    )
+
+
+def face_morphs(
+    bind: Callable[[Gaze], BoundField],
+    rest: Gaze,
+    gazes: Sequence[Gaze],
+    face: trimesh.Trimesh,
+    eyes: Sequence[Eyeball],
+    level: float,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[tuple[Morph, ...], list[Follow]]:
+    """A morph of a face mesh for each gaze.
+
+    Args:
+        bind: Binds the subject to a gaze.
+        rest: Gaze of the mesh.
+        gazes: One a morph.
+        face: World units, vertex normals; vertices doubled along texture seams stay together.
+        eyes: The face moves about them, see `NEAR` and `FULL`.
+        level: Density of its surface.
+        progress: Called with (gazes done, all gazes).
+
+    Returns:
+        Morphs in metres, and how each was found, a value for each distinct place of a vertex.
+    """
+    bound = bind(rest)
+    vertices, normals = np.asarray(face.vertices), np.asarray(face.vertex_normals)
+    first, place = (np.asarray(index) for index in trimesh.grouping.unique_rows(vertices))
+    points, outward = vertices[first], normals[first]
+    faces = place[np.asarray(face.faces)]
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    edges = np.unique(np.sort(edges[edges[:, 0] != edges[:, 1]], axis=1), axis=0)
+    both = np.concatenate([edges, edges[:, ::-1]])
+    links = sparse.csr_matrix((np.ones(len(both)), tuple(both.T)), shape=(len(points),) * 2)
+    radii = np.min([np.linalg.norm(points - eye.centre, axis=1) / eye.radius for eye in eyes], axis=0)
+    share = np.clip((NEAR - radii) / (NEAR - FULL), 0.0, 1.0)
+    crossings = np.full(len(points), np.nan)
+    crossings[share > 0] = face_crossings(bound, points[share > 0], outward[share > 0], level)
+    plain = trimesh.Trimesh(points, faces, process=False).vertex_normals
+    morphs, followed = [], []
+    for i, gaze in enumerate(gazes):
+        follow = follow_gaze(bind(gaze), crossings, points, outward, links, share, level)
+        offsets = follow.moves[:, None] * outward
+        turned = trimesh.Trimesh(points + offsets, faces, process=False).vertex_normals
+        near = (follow.moves != 0.0) | (links @ (follow.moves != 0.0) > 0)
+        change = np.where(near[:, None], turned - plain, 0.0)
+        lengths = np.linalg.norm(outward + change, axis=1, keepdims=True)
+        change = np.where(near[:, None], (outward + change) / np.maximum(lengths, 1e-9) - outward, 0.0)
+        pitch, yaw = gaze.degrees
+        name = f"gaze {i:03d} pitch {pitch:+.0f} yaw {yaw:+.0f}"
+        morphs.append(Morph(name, (offsets * bound.metres_per_unit)[place], change[place]))
+        followed.append(follow)
+        if progress is not None:
+            progress(i + 1, len(gazes))
+    return tuple(morphs), followed
+
+
+def check_sequence(gazes: Sequence[Gaze]) -> None:
+    """Raise UserError for a sequence that cannot be made."""
+    if not 2 <= len(gazes) <= MAX_GAZES:
+        raise UserError(f"a sequence goes through 2 to {MAX_GAZES} gazes, got {len(gazes)}")
+
+
+def sequence_scene(
+    bind: Callable[[Gaze], BoundField],
+    rest: Gaze,
+    scene: Scene,
+    gazes: Sequence[Gaze],
+    face: trimesh.Trimesh,
+    level: float,
+    progress: Callable[[int, int], None] | None = None,
+) -> Scene:
+    """The rig with a clip `gaze sequence`: both eyes turn, and the face blends from morph to morph.
+
+    Args:
+        bind, rest, face, level, progress: See `face_morphs`.
+        scene: The rig at `rest`; its face node holds `face`.
+        gazes: In order, `FPS` a second.
+
+    Raises:
+        UserError: too few or too many gazes.
+    """
+    check_sequence(gazes)
+    morphs, followed = face_morphs(bind, rest, gazes, face, scene.eyeballs, level, progress)
+    times = np.arange(len(gazes)) / FPS
+    clip = replace(eyes_clip("gaze sequence", gazes, times), weights={"face": np.eye(len(gazes))})
+    nodes = tuple(replace(node, morphs=morphs) if node.name == "face" else node for node in scene.root.children)
+    mm = 1000.0 * bind(rest).metres_per_unit
+    facts = {
+        "gazes_pitch_yaw_degrees": [list(gaze.degrees) for gaze in gazes],
+        "gazes_a_second": FPS,
+        "morphs": "vertices move along their normals to the surface of each gaze; colours stay those at rest",
+        "followed": [
+            {
+                "vertices_moved": int(np.count_nonzero(follow.moves)),
+                "largest_move_mm": float(np.abs(follow.moves).max() * mm),
+                "median_distance_before_mm": None if np.isnan(follow.before_mm) else follow.before_mm,
+                "median_distance_after_mm": None if np.isnan(follow.after_mm) else follow.after_mm,
+            }
+            for follow in followed
+        ],
+    }
+    return replace(scene, root=replace(scene.root, children=nodes), clips=(clip,), facts=scene.facts | facts)

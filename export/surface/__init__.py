@@ -1,0 +1,1 @@
+"""From densities or rendered depth to a surface."""

@@ -1,0 +1,236 @@
+"""A bound head baked: density and features on a lattice around its surface, frames by interpolation.
+
+Features do not depend on the view, so what the network says at the lattice's vertices serves every
+camera: a frame costs a walk through the lattice, weighted sums of its rows and one up-sampler pass.
+At the gaze it was baked for, nothing else is computed. At another gaze the face is kept as it was, and
+rays that meet the occupied cells of the eyes are asked of the network anew; lids and eyeballs are
+therefore exact, and only the little that the gaze changes in the rest of the face is lost.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+
+from gazenerf.errors import UserError
+from gazenerf.field.compositing import composite
+from gazenerf.field.sampling import shell_samples
+from gazenerf.geometry import Camera, Gaze
+from gazenerf.heads.bound import CHUNK, BoundTwoStream
+from gazenerf.heads.feature_map import Composited, FeatureGrid, Window, to_picture
+from gazenerf.heads.interface import OPACITY_FLOOR, GeometryView, Part, RenderedView
+from gazenerf.heads.lattice import Band, DensityLattice
+from gazenerf.heads.occupancy import Occupancy
+
+FAINT = 1e-3
+"""Samples of less weight are left out; the others share theirs."""
+
+MOST_OF_THE_BOX = 0.5
+"""A band of more than this share of the lattice is no surface; baking it would not pay."""
+
+CORNERS = torch.tensor([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+
+
+@dataclass(frozen=True)
+class BakeReport:
+    """What a bake cost.
+
+    Attributes:
+        seconds: Wall time.
+        vertices: Lattice vertices asked of the network.
+        nbytes: Memory kept.
+        gaze: What it was baked for.
+    """
+
+    seconds: float
+    vertices: int
+    nbytes: int
+    gaze: Gaze
+
+
+class FeatureLattice:
+    """Features at the band's vertices, in rows.
+
+    Args:
+        band: Where; features: (V, C) there.
+    """
+
+    def __init__(self, band: Band, features: torch.Tensor) -> None:
+        self.size = band.inside.shape[0]
+        row = torch.zeros(self.size**3, dtype=torch.int32)
+        row[self._flat(band.vertices)] = torch.arange(1, len(features) + 1, dtype=torch.int32)
+        self.row = row
+        self.table = torch.cat([features.new_zeros(1, features.shape[1]), features])
+        self.low, self.scale = band.box[0], (self.size - 1) / (band.box[1] - band.box[0])
+        self.corners = self._flat(CORNERS)
+
+    def _flat(self, index: torch.Tensor) -> torch.Tensor:
+        return (index[..., 0] * self.size + index[..., 1]) * self.size + index[..., 2]
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the rows and their index, bytes."""
+        return self.row.nbytes + self.table.nbytes
+
+    def blend(
+        self, points: torch.Tensor, weights: torch.Tensor, counts: torch.Tensor, total: torch.Tensor
+    ) -> torch.Tensor:
+        """Sums of weighted features along rays.
+
+        Args:
+            points: (N, 3), ray after ray.
+            weights: (N,) of the points.
+            counts: (R,) points of each ray.
+            total: (R,) what the weights of each ray are scaled to add up to.
+
+        Returns:
+            (R, C). Vertices that were not baked have no say; their weight goes to the others.
+        """
+        place = (points - self.low) * self.scale
+        cell = place.floor().clamp_(0, self.size - 2)
+        part = place - cell
+        x, y, z = (torch.stack([1.0 - part[:, i], part[:, i]], dim=1) for i in range(3))
+        share = (x[:, :, None, None] * y[:, None, :, None] * z[:, None, None, :]).reshape(-1, 8) * weights[:, None]
+        rows = self.row.index_select(0, (self._flat(cell.long())[:, None] + self.corners).reshape(-1))
+        share = share.reshape(-1) * (rows > 0)
+        ends = 8 * counts.cumsum(0)
+        offsets = torch.cat([ends.new_zeros(1), ends[:-1]])
+        sums = torch.zeros_like(total).index_add_(0, torch.arange(len(counts)).repeat_interleave(8 * counts), share)
+        found = F.embedding_bag(rows, self.table, offsets.int(), mode="sum", per_sample_weights=share)
+        return found * (total / sums.clamp(min=1e-9))[:, None]
+
+
+@dataclass(frozen=True)
+class Bake:
+    """Everything that frames of one subject share.
+
+    Attributes:
+        density, features: Lattices of the whole head, eyes included.
+        eyes: Occupied cells of the eyes, whatever the gaze.
+        report: What it cost.
+    """
+
+    density: DensityLattice
+    features: FeatureLattice
+    eyes: Occupancy
+    report: BakeReport
+
+
+def bake(bound: BoundTwoStream) -> BakedHead:
+    """Bake a bound head at its gaze.
+
+    Raises:
+        UserError: the field cannot be baked: not sampled around a surface, merged after compositing, or
+            its density is nearly everywhere.
+    """
+    started = time.perf_counter()
+    config = bound.field.config
+    if bound.sampler != "guided" or config.streams != "two" or config.merge != "joint":
+        raise UserError("only fields of two streams, sampled around a surface and merged as one medium, can be baked")
+    with torch.inference_mode():
+        eyes = bound.occupancy(("eyes",))
+        band = Band.of(bound.occupancy(("face", "eyes")), eyes.cells)
+        if not bound.sparse or len(band.vertices) > MOST_OF_THE_BOX * band.inside.numel():
+            raise UserError("the density of this field is nearly everywhere; there is no surface to bake")
+        found = [bound.head_features(points) for points in band.points.split(CHUNK // 4)]
+        density = DensityLattice(band, torch.cat([item[0] for item in found]))
+        features = FeatureLattice(band, torch.cat([item[1] for item in found]))
+    report = BakeReport(time.perf_counter() - started, len(band.vertices), density.nbytes + features.nbytes, bound.gaze)
+    return BakedHead(Bake(density, features, eyes, report), bound)
+
+
+class BakedHead:
+    """See `gazenerf.heads.interface.BoundField`; made by `bake`, turned to other gazes by `at`.
+
+    `render` of `head` is baked; other parts, densities and full-size geometry are the bound field's own.
+    """
+
+    def __init__(self, baked: Bake, bound: BoundTwoStream) -> None:
+        self.baked, self.bound = baked, bound
+        self.subject, self.gaze, self.box = bound.subject, bound.gaze, bound.box
+        self.metres_per_unit, self.weights_hash = bound.metres_per_unit, bound.weights_hash
+        self.held = bound.gaze == baked.report.gaze
+
+    @property
+    def report(self) -> BakeReport:
+        """What the bake cost."""
+        return self.baked.report
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """See `BoundField`."""
+        return self.bound.parts
+
+    @property
+    def background(self) -> np.ndarray:
+        """(3,) sRGB of an empty ray."""
+        return self.bound.background
+
+    def at(self, gaze: Gaze) -> BakedHead:
+        """The same bake with the eyes turned; binds the gaze."""
+        if gaze == self.gaze:
+            return self
+        return BakedHead(self.baked, self.bound.at(gaze))
+
+    def density(self, points: torch.Tensor, part: Part = "head") -> torch.Tensor:
+        """See `BoundField`; not baked."""
+        return self.bound.density(points, part)
+
+    def render_geometry(self, camera: Camera, part: Part = "head", normals: bool = False) -> GeometryView:
+        """See `BoundField`; not baked."""
+        return self.bound.render_geometry(camera, part, normals)
+
+    def render(self, camera: Camera, parts: tuple[Part, ...] = ("head",)) -> RenderedView:
+        """See `BoundField`; only `head` is baked."""
+        rest: tuple[Part, ...] = tuple(part for part in parts if part != "head")
+        images: dict[Part, np.ndarray] = {}
+        geometry: dict[Part, GeometryView] = {}
+        if rest:
+            view = self.bound.render(camera, rest)
+            images, geometry = dict(view.images), dict(view.geometry)
+        if "head" in parts:
+            images["head"], geometry["head"] = self._render_head(camera)
+        return RenderedView(camera, {part: images[part] for part in parts}, geometry)
+
+    def _render_head(self, camera: Camera) -> tuple[np.ndarray, GeometryView]:
+        field = self.bound.field
+        grid = FeatureGrid.of(camera, field.config)
+        rows, columns = grid.shape
+        with torch.inference_mode():
+            background = field.renderer.background(rows, columns)[0].flatten(1).T.float()
+            found = self._composited(grid.rays_o, grid.rays_d, background)
+            features, opacity, distance = grid.smooth_outline(self._composited, background, found)
+            picture = self.bound.upsample(features.T.reshape(1, -1, rows, columns))[0]
+        geometry = GeometryView(
+            grid.camera, opacity.reshape(rows, columns).numpy(), distance.reshape(rows, columns).numpy()
+        )
+        return to_picture(picture, camera), geometry
+
+    def _composited(
+        self, rays_o: torch.Tensor, rays_d: torch.Tensor, background: torch.Tensor, window: Window | None = None
+    ) -> Composited:
+        config, density = self.bound.field.config, self.baked.density
+        features, opacity = background.clone(), torch.zeros(len(rays_o))
+        distance = torch.full((len(rays_o),), torch.nan)
+        surface, hit = density.first_surface(rays_o, rays_d)
+        if not self.held:
+            near = self.baked.eyes.at(rays_o + surface.nan_to_num()[:, None] * rays_d) & hit
+            live, hit = near.nonzero()[:, 0], hit & ~near
+            features[live], opacity[live], distance[live] = self.bound.composite_near(
+                rays_o[live], rays_d[live], surface[live], background[live]
+            )
+        rays = hit.nonzero()[:, 0]
+        t, deltas = shell_samples(surface[rays], config.shell, config.shell_samples)
+        points = rays_o[rays, None] + t[..., None] * rays_d[rays, None]
+        weights, alpha = composite(density.density(points), deltas)
+        heavy = weights > FAINT
+        row = self.baked.features.blend(points[heavy], weights[heavy], heavy.sum(1), alpha)
+        features[rays] = row + (1.0 - alpha[:, None]) * background[rays]
+        opacity[rays] = alpha
+        expected = (weights * t).sum(-1) / alpha.clamp(min=1e-6)
+        distance[rays] = torch.where(alpha >= OPACITY_FLOOR, expected, torch.nan)
+        return features, opacity, distance

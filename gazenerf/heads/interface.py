@@ -1,0 +1,132 @@
+"""What every field offers, whoever trained it: density, features and pictures of one bound head.
+
+Orbits, meshes and checks speak to a `BoundField` only, so an analytic test scene and a trained
+two-stream field are interchangeable.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal, Protocol, runtime_checkable
+
+import numpy as np
+import torch
+
+from gazenerf.geometry import Camera, Gaze
+from gazenerf.subjects import Subject
+
+Part = Literal["face", "eyes", "head"]
+"""`face` and `eyes` are the two trained volumes. `head` is this project's combination of them: in
+space the sum of both densities (two media in one place), in pictures the field's own merge. The
+published method has no joint density."""
+
+PARTS: tuple[Part, ...] = ("face", "eyes", "head")
+
+OPACITY_FLOOR = 0.5
+"""Below this opacity a ray has no surface and its expected depth is NaN."""
+
+
+@dataclass(frozen=True)
+class GeometryView:
+    """Opacity and expected depth of one part along the rays of one camera.
+
+    Attributes:
+        camera: Its size is the size of the arrays.
+        opacity: (H, W) float32 in [0, 1].
+        depth: (H, W) float32 Euclidean distance from the camera centre in world units, divided by
+            opacity; NaN where opacity is below `OPACITY_FLOOR`.
+        normals: (H, W, 3) float32 unit outward normals in the world frame, NaN where there is no
+            surface; None when not asked for.
+    """
+
+    camera: Camera
+    opacity: np.ndarray
+    depth: np.ndarray
+    normals: np.ndarray | None = None
+
+    def points(self) -> np.ndarray:
+        """(H, W, 3) float64 world points of the surface, NaN where there is none."""
+        return self.camera.unproject(self.depth)
+
+    @property
+    def depth_z(self) -> np.ndarray:
+        """(H, W) camera z of the surface, world units."""
+        return (self.depth * self.camera.ray_z()).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class RenderedView:
+    """Pictures of a bound head from one camera, per part.
+
+    Attributes:
+        camera: The camera of the pictures.
+        images: Part to (H, W, 3) float32 sRGB in [0, 1] at the camera's size.
+        geometry: Part to the opacity and depth that the pictures were composited from, at the
+            size of the feature map.
+    """
+
+    camera: Camera
+    images: dict[Part, np.ndarray]
+    geometry: dict[Part, GeometryView] = field(default_factory=dict)
+
+    @property
+    def image(self) -> np.ndarray:
+        """(H, W, 3) the merged picture."""
+        return self.images["head"]
+
+
+@runtime_checkable
+class BoundField(Protocol):
+    """A field with a subject and a gaze fixed.
+
+    Attributes:
+        subject: Whose head it is.
+        gaze: Where the eyes look, head frame.
+        box: (2, 3) float64 lower and upper corner of the volume where density may be non-zero.
+        metres_per_unit: Size of a world unit.
+        weights_hash: Names the weights in sidecars and reports.
+    """
+
+    subject: Subject
+    gaze: Gaze
+    box: np.ndarray
+    metres_per_unit: float
+    weights_hash: str
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """What can be asked for: `head`, and `face` and `eyes` where the field has two streams."""
+        ...
+
+    @property
+    def background(self) -> np.ndarray:
+        """(3,) sRGB of an empty ray."""
+        ...
+
+    def density(self, points: torch.Tensor, part: Part = "head") -> torch.Tensor:
+        """Density (N,) >= 0 per world unit at points (N, 3), differentiable in the points."""
+        ...
+
+    def render(self, camera: Camera, parts: tuple[Part, ...] = ("head",)) -> RenderedView:
+        """Pictures of the asked parts, with their feature-map opacity and depth."""
+        ...
+
+    def render_geometry(self, camera: Camera, part: Part = "head", normals: bool = False) -> GeometryView:
+        """Opacity, expected depth and, on request, density-gradient normals at the camera's size."""
+        ...
+
+
+class HeadField(Protocol):
+    """What a field says of one person, at every gaze; safe to use from several threads.
+
+    `gazenerf.heads.Head` is the one for trained fields. Orbits, meshes, checks and viewers take any of these.
+    """
+
+    @property
+    def subject(self) -> Subject:
+        """Whose head it is."""
+        ...
+
+    def at(self, gaze: Gaze) -> BoundField:
+        """The head at a gaze (head frame)."""
+        ...

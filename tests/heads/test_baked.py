@@ -1,0 +1,137 @@
+"""The baked path is held to the guided one, and known to fail where it must."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+from gazenerf.errors import UserError
+from gazenerf.geometry import Camera, Gaze
+from gazenerf.heads.baked import FeatureLattice, bake
+from gazenerf.heads.interface import BoundField
+from gazenerf.heads.lattice import Band
+from gazenerf.heads.occupancy import Occupancy
+from gazenerf.image_metrics import psnr
+
+from tests.field_doubles import make_field, make_subject, soft_field, tiny_config
+
+TURNED = Gaze.from_degrees(15, -20)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.6, 2.0])
+def test_baked_pictures_are_the_guided_ones(yaw: float) -> None:
+    field = soft_field()
+    bound = field.bind(make_subject(field.config), Gaze())
+    head = bake(bound)
+    assert (
+        isinstance(head, BoundField) and head.report.vertices > 1000 and head.report.nbytes > 4 * head.report.vertices
+    )
+    camera = Camera.orbit(yaw=yaw, size=64)
+    for gaze in (Gaze(), TURNED):
+        ours, theirs = head.at(gaze).render(camera), bound.at(gaze).render(camera)
+        assert theirs.image.std() > 0.02
+        assert psnr(ours.image, theirs.image) > 40
+        small, large = ours.geometry["head"], theirs.geometry["head"]
+        assert np.abs(small.opacity - large.opacity).mean() < 0.02
+        assert np.nanmedian(np.abs(small.depth - large.depth)) < 0.01
+
+
+def test_turning_the_eyes_asks_only_around_the_eyes(monkeypatch: pytest.MonkeyPatch) -> None:
+    field = soft_field()
+    bound = field.bind(make_subject(field.config), Gaze())
+    head = bake(bound)
+    asked: list[int] = []
+    query = field.query
+
+    def count(name: str, points: torch.Tensor, *args: object, **options: object) -> object:
+        asked.append(points.shape[:-1].numel())
+        return query(name, points, *args, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(field, "query", count)
+    camera = Camera.neutral(64)
+    head.render(camera)
+    held = sum(asked)
+    head.at(TURNED).render(camera)
+    turned = sum(asked) - held
+    bound.at(TURNED).render(camera)
+    guided = sum(asked) - held - turned
+    assert held == 0 and 0 < turned < 0.5 * guided
+
+
+def test_a_face_that_moves_with_the_gaze_shows_in_the_measurement() -> None:
+    field = soft_field(drift=0.3)
+    bound = field.bind(make_subject(field.config), Gaze())
+    head, camera = bake(bound), Camera.neutral(64)
+    still = psnr(head.render(camera).image, bound.render(camera).image)
+    moved = psnr(head.at(TURNED).render(camera).image, bound.at(TURNED).render(camera).image)
+    assert moved < still - 6
+
+
+def test_other_parts_and_densities_are_the_fields_own() -> None:
+    field = soft_field()
+    bound = field.bind(make_subject(field.config), Gaze())
+    head, camera = bake(bound), Camera.orbit(yaw=0.3, size=32)
+    view = head.render(camera, ("face", "head", "eyes"))
+    assert list(view.images) == ["face", "head", "eyes"]
+    np.testing.assert_array_equal(view.images["eyes"], bound.render(camera, ("eyes",)).images["eyes"])
+    points = torch.randn(50, 3)
+    assert torch.equal(head.density(points, "face"), bound.density(points, "face"))
+    np.testing.assert_array_equal(head.render_geometry(camera).depth, bound.render_geometry(camera).depth)
+
+
+def test_blending_is_the_slow_sum_over_corners() -> None:
+    box = torch.tensor([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
+    band = Band.of(Occupancy.of(lambda points: 100.0 * (points.norm(dim=-1) < 0.6).float(), box, size=12))
+    features = torch.randn(len(band.vertices), 5, generator=torch.Generator().manual_seed(0))
+    lattice = FeatureLattice(band, features)
+    points = 0.6 * torch.nn.functional.normalize(torch.randn(7, 3, generator=torch.Generator().manual_seed(1)), dim=-1)
+    weights, counts, total = torch.rand(7) + 0.1, torch.tensor([3, 0, 4]), torch.tensor([0.9, 0.0, 0.5])
+    known = {tuple(vertex): row for vertex, row in zip(band.vertices.tolist(), features, strict=True)}
+    rows = []
+    for first, count, whole in zip((0, 3, 3), counts.tolist(), total.tolist(), strict=True):
+        value, share = torch.zeros(5), 0.0
+        for point, weight in zip(points[first : first + count], weights[first : first + count], strict=True):
+            place = (point + 1.0) * 12
+            for corner in np.ndindex(2, 2, 2):
+                vertex = place.floor() + torch.tensor(corner)
+                part = float(weight * (1.0 - (place - vertex).abs()).prod())
+                if (row := known.get(tuple(vertex.int().tolist()))) is not None:
+                    value, share = value + part * row, share + part
+        rows.append(value * whole / max(share, 1e-9))
+    assert torch.allclose(lattice.blend(points, weights, counts, total), torch.stack(rows), atol=1e-5)
+
+
+def test_what_has_no_surface_is_not_baked() -> None:
+    config = tiny_config()
+    with pytest.warns(UserWarning, match="sampled evenly"), pytest.raises(UserError, match="everywhere"):
+        bake(make_field(config).bind(make_subject(config), Gaze()))
+    for changes in ({"merge": "max"}, {"streams": "one"}, {"sampler": "slabs"}):
+        config = tiny_config(**changes)
+        with pytest.raises(UserError, match="can be baked"):
+            bake(make_field(config).bind(make_subject(config), Gaze()))
+
+
+def test_random_weights_are_drawn_evenly_and_loudly() -> None:
+    config = tiny_config()
+    field, subject = make_field(config), make_subject(config)
+    camera = Camera.neutral(config.image_size)
+    exact = field.bind(subject, Gaze(), sampler="slabs").render(camera).image
+    with pytest.warns(UserWarning, match="sampled evenly"):
+        guided = field.bind(subject, Gaze(), sampler="guided").render(camera).image
+    assert np.abs(guided - exact).max() < 1e-4
+
+
+def test_haze_inside_a_box_that_is_mostly_empty_is_drawn_evenly_and_loudly() -> None:
+    field = soft_field()
+    config = dataclasses.replace(field.config, samples=96)
+    field.config = config
+    for stream in field.streams.values():
+        stream.density_of = lambda inside: 4.0 * (inside > 0).float()  # type: ignore[assignment]
+    subject, camera = make_subject(config), Camera.neutral(32)
+    with pytest.warns(UserWarning, match="holds"):
+        guided = field.bind(subject, Gaze(), sampler="guided").render(camera).image
+    exact = field.bind(subject, Gaze(), sampler="slabs").render(camera).image
+    assert psnr(guided, exact) > 45

@@ -1,0 +1,188 @@
+"""The report page from made-up results: what a reader sees, and that nothing is fetched."""
+
+from __future__ import annotations
+
+import html
+import json
+import math
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gazenerf.geometry import Camera
+from gazenerf.heads.analytic import AnalyticField
+from gazenerf.viz.check.result import CheckedView, CheckResult
+from gazenerf.viz.metrics.agreement import compare
+from gazenerf.viz.metrics.definitions import GAUGES
+from gazenerf.viz.metrics.drift import Drift, TextureFollow, ViewDrift
+from gazenerf.viz.metrics.eyes import EyeSweep
+from gazenerf.viz.metrics.pairs import PairReading
+from gazenerf.viz.metrics.reprojection import Reprojection
+from gazenerf.viz.reference.views import ReferenceView
+from gazenerf.viz.report.error_mesh import FILE, error_mesh
+from gazenerf.viz.report.heatmaps import FARTHER, NEARER, colour_bar, silhouette_picture
+from gazenerf.viz.report.write import write_report
+from gazenerf.viz.selftest.faults import scene_mesh
+
+SIZE = 40
+
+
+def checked(offset_z: float, yaw: float) -> CheckedView:
+    """An analytic view against the analytic head moved along the view."""
+    camera = Camera.orbit(np.deg2rad(yaw), 0.0, size=SIZE)
+    truth = AnalyticField()
+    found = AnalyticField(face_offset=(0.0, 0.0, offset_z)).render_geometry(camera, "head", normals=True)
+    exact = truth.render_geometry(camera, "head", normals=True)
+    assert exact.normals is not None
+    parts = np.isfinite(exact.depth).astype(np.uint8)
+    reference = ReferenceView(camera, exact.depth, exact.normals, parts, "exact", truth.render(camera).image)
+    agreement = compare(found, reference, 0.1)
+    return CheckedView(yaw, 0.0, truth.render(camera).image, found, reference, agreement, {"second": agreement})
+
+
+@pytest.fixture(scope="module")
+def result() -> CheckResult:
+    values = dict.fromkeys((gauge.name for gauge in GAUGES), math.nan) | {"depth_median_mm": 2.0, "warp_psnr": 10.0}
+    about = {
+        "subject": "<b>someone</b>",
+        "gaze_pitch_yaw_degrees": [0.0, 10.0],
+        "weights_sha256_16": "w" * 16,
+        "codes_sha256_16": "c" * 16,
+        "size_px": SIZE,
+        "views": 2,
+        "metres_per_unit": 0.1,
+    }
+    views = (checked(0.05, 20.0), checked(0.0, 0.0))
+    between = (("exact", "second", "+0/+0", views[1].agreement),)
+    return CheckResult(
+        tuple(replace(gauge, value=values[gauge.name]) for gauge in GAUGES),
+        views, (), ("exact", "second"), {"third": "no driver; install one"}, about, between,
+        {"scale_percent": -1.5},
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def whole(result) -> CheckResult:
+    """With everything that a check can hold."""
+    rng = np.random.default_rng(0)
+    commanded = np.array([[0.0, 10.0], [10.0, 0.0], [-10.0, -20.0]])
+    sweep = EyeSweep(
+        commanded=commanded,
+        measured={"left": commanded * 0.9, "right": np.full((3, 2), np.nan)},
+        spread_deg={"left": np.ones(3), "right": np.full(3, np.nan)},
+        centres={eye: np.zeros((3, 3)) for eye in ("left", "right")},
+        radii_mm={eye: np.full(3, 12.0) for eye in ("left", "right")},
+        reference_centres=np.zeros((2, 3)),
+        reference_radius_mm=12.0,
+        response=np.eye(2),
+        bias_deg=np.array([0.5, -1.0]),
+        nonlinear_deg=0.7,
+        pose_change_mm=np.array([0.0, 0.1, 0.2]),
+        pose_change_deg=np.zeros(3),
+        face_change_psnr=np.array([np.nan, 40.0, 41.0]),
+        pictures=rng.uniform(size=(3, 12, 40, 3)),
+    )
+    good, bad = Reprojection(0.99, 0.1, 0.2, 31.0, 500, 0.02, 0.97), Reprojection(0.9, 0.4, 0.2, 21.0, 500, 0.09, 0.9)
+    streams = {
+        "head": (PairReading("+0/+0", "+5/+0", 5.0, "short", good, bad),),
+        "eyes": (
+            PairReading("+0/+0", "+5/+0", 5.0, "short", good, good),
+            PairReading("a", "b", 5.0, "short", bad, bad),
+        ),
+    }
+    drift = Drift((ViewDrift("+0/+0", 0.98, (0.1, -0.2), (np.nan, np.nan), 0.6),),
+                  (TextureFollow("+0/+0", "+5/+0", 0.3, 0.05, 900),), 8.0)  # fmt: skip
+    return replace(
+        result, streams=streams, drift=drift, eyes=sweep, strips={"eyes": rng.uniform(size=(6, SIZE, 3))},
+        strip_degrees=(-20.0, 20.0), notes=("LPIPS was <left> out.",),
+        extra={"tsed_pairs": [{"a": "-5/+5", "b": "+0/+5", "matches": 22, "median_px": 0.4},
+                              {"a": "+0/+5", "b": "+5/+5", "matches": 0, "median_px": None}],
+               "structure_from_motion": {"pictures": 13, "registered": 12, "points": 99, "reprojection_px": 0.5,
+                                         "position_percent": 0.4, "turn_deg": 0.3, "reason": ""}},
+    )  # fmt: skip
+
+
+def test_the_page_says_verdict_views_and_missing_renderers(result, tmp_path):
+    page, _ = write_report(result, tmp_path)
+    text = page.read_text()
+    assert text.index("Verdict") < text.index("Views, worst first") < text.index("yaw +20") < text.index("yaw +0")
+    assert "2.00&nbsp;mm" in text and text.count(">warn</span>") == 1 and text.count(">fail</span>") == 1
+    for kind, count, said in (
+        ("warn", 1, "to watch"),
+        ("fail", 1, "failed"),
+        ("unmeasured", len(GAUGES) - 2, "not measured"),
+    ):
+        assert f"<span class='v {kind}'>{count} {said}</span>" in text
+    assert "Failed: picture warped, about 5 degrees 10.0 dB." in text
+    groups = list(dict.fromkeys(gauge.group for gauge in GAUGES))
+    headings = re.findall(r"scope=rowgroup>([^<]+)<", text)
+    assert [html.unescape(heading) for heading in headings] == groups
+    missing = re.findall(r"class=quiet>Not measured: ([^<]+)\.<", text)
+    assert sum(len(names.split(", ")) for names in missing) >= len(GAUGES) - 2
+    assert "the field is 1.50 % smaller than the reference" in text
+    assert "third could not start; no driver; install one" in text
+    assert "right the reference (exact)" in text
+    assert "&lt;b&gt;someone" in text and "<b>someone" not in text
+
+
+def test_nothing_is_fetched_and_the_page_is_whole_without_scripts(whole, tmp_path):
+    text = write_report(whole, tmp_path)[0].read_text()
+    markup = re.sub(r"base64,[A-Za-z0-9+/=]+", "base64,", text)
+    assert not re.search(r"https?:|url\(|<link|@import|src='(?!data:)|href=", markup)
+    assert markup.count("<script>") == 1 and markup.index("<script>") > markup.index("Provenance")
+    assert "color-scheme:light dark" in text and 'name="viewport"' in text and "@media print" in text
+    style = markup[: markup.index("</style>")]
+    assert re.search(r"(?<!\.js )\.slide\{display:grid", style), "without scripts the pictures stand side by side"
+    assert markup.count("<input type=range") == 2, "a slider a view"
+    assert len(text) < 4_000_000
+
+
+def test_the_page_shows_everything_that_was_measured(whole, tmp_path):
+    text = write_report(whole, tmp_path)[0].read_text()
+    for said in (
+        "yaw -20° (top) to +20°",
+        "measured against commanded",
+        "+9.0/+0.0",
+        "not found",
+        "half a feature pixel is 4 px",
+        "+0.10, -0.20",
+        "LPIPS was &lt;left&gt; out",
+        "COLMAP registered 12 of 13",
+        "eyes stream alone",
+    ):
+        assert said in text, said
+    assert text.index("a from b, eyes stream") < text.index("+0/+0 from +5/+0, eyes stream"), "worst pair first"
+    assert text.index("-5/+5 and +0/+5") > text.index("+0/+5 and +5/+5"), "unmatched pair first"
+
+
+def test_the_error_mesh_is_written_beside_the_report_and_explained(result, tmp_path):
+    field = AnalyticField(sharpness=0.2)
+    error = error_mesh(field, scene_mesh(field, 3), resolution=48, threshold=100.0)
+    page, numbers = write_report(result, tmp_path, error=error, bound=field)
+    assert (tmp_path / FILE).is_file() and "Error mesh" in page.read_text()
+    assert json.loads(numbers.read_text())["error_mesh"]["field"]["compared"] > 1000
+
+
+def test_the_numbers_hold_every_comparison_and_no_nan(result, tmp_path):
+    _, numbers = write_report(result, tmp_path)
+    data = json.loads(numbers.read_text(), parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
+    assert [metric["name"] for metric in data["metrics"]] == [gauge.name for gauge in GAUGES]
+    assert all({"unit", "value", "passes", "warns", "verdict"} <= set(metric) for metric in data["metrics"])
+    assert {"gazenerf", "python", "pycolmap"} <= set(data["versions"]) and data["made"]
+    assert data["surfaces"] == {"scale_percent": -1.5}
+    first = data["views"][0]
+    assert first["reference"] == "exact" and first["others"]["second"]["depth_median_mm"] == first["depth_median_mm"]
+    assert data["between_renderers"][0]["b"] == "second"
+    assert data["missing_renderers"] == {"third": "no driver; install one"}
+
+
+def test_a_nearer_field_is_blue_and_disputed_pixels_are_marked(result):
+    view = result.views[0]
+    assert (colour_bar()[0, 0] == NEARER).all() and (colour_bar()[0, -1] == FARTHER).all()
+    gone = replace(view.geometry, depth=np.full_like(view.geometry.depth, np.nan))
+    missing = silhouette_picture(gone, view.reference, view.image)
+    assert (missing[view.reference.parts > 0] == NEARER).all()
+    extra = silhouette_picture(view.geometry, gone, view.image)
+    assert (extra[np.isfinite(view.geometry.depth)] == FARTHER).all()

@@ -1,0 +1,1 @@
+"""Checks of a field, of an orbit and of folders of frames: what is measured, results and verdicts."""

@@ -1,0 +1,1 @@
+"""What is measured of views, pictures, eyes and surfaces, one module a family of metrics."""

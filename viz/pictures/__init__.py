@@ -1,0 +1,1 @@
+"""Pictures: orbits, sheets, panels and their files."""

@@ -1,0 +1,154 @@
+"""Fly around a head while its eyes turn."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gazenerf.errors import UserError
+from gazenerf.files import whole_file
+from gazenerf.geometry import Camera, Gaze
+from gazenerf.heads.interface import BoundField
+from gazenerf.viz.pictures.layout import grid_size, tile
+from gazenerf.viz.pictures.panels import DEPTH_RANGE, ReferenceRenderer, check_panels, draw_panels
+
+Bind = Callable[[Gaze], BoundField]
+"""Folds a gaze into a field with its subject already chosen."""
+
+ORBIT_FORMAT = "gazenerf-orbit-1"
+
+
+def frame_size(camera: Camera, panels: Sequence[str], columns: int | None = None) -> tuple[int, int]:
+    """(width, height) of the frames that `render_orbit` makes."""
+    return grid_size(len(panels), camera.width, camera.height, columns)
+
+
+def render_orbit(
+    bind: Bind,
+    cameras: Sequence[Camera],
+    gazes: Sequence[Gaze],
+    panels: Sequence[str] = ("image",),
+    *,
+    reference: ReferenceRenderer | None = None,
+    columns: int | None = None,
+    labels: bool | None = None,
+    geometry_size: int | None = None,
+    depth_range: tuple[float, float] = DEPTH_RANGE,
+) -> Iterator[np.ndarray]:
+    """Frames of a flight, drawn one by one as they are asked for.
+
+    The field is bound again only when the gaze changes, and a frame whose camera and gaze are those
+    of the frame before is not drawn twice.
+
+    Example:
+        >>> cameras = horizontal(60, size=256)
+        >>> gazes = look_at_camera(cameras)
+        >>> bind = lambda gaze: field.bind(subject, gaze)
+        >>> write_video("orbit.mp4", render_orbit(bind, cameras, gazes, ("image", "depth")))
+
+    Args:
+        bind: Makes the bound field of a gaze.
+        cameras: One a frame, all of one size.
+        gazes: One a frame, head frame.
+        panels: Names from `gazenerf.viz.pictures.panels.PANELS`.
+        reference: Draws the `reference` panel.
+        columns: Panels in a row; chosen when None.
+        labels: Draw the panels' names; by default when there is more than one.
+        geometry_size: See `draw_panels`.
+        depth_range: See `draw_panels`.
+
+    Returns:
+        An iterator of (H, W, 3) uint8, H and W from `frame_size`.
+
+    Raises:
+        UserError: no frames, or panels that cannot be drawn.
+        ValueError: not one gaze for each camera, or cameras of different sizes.
+    """
+    names = check_panels(panels, reference)
+    if not cameras:
+        raise UserError("no frames to render; give --frames 1 or more")
+    if len(cameras) != len(gazes):
+        raise ValueError(f"one gaze a camera: got {len(cameras)} cameras and {len(gazes)} gazes")
+    if len({(camera.width, camera.height) for camera in cameras}) != 1:
+        raise ValueError("the cameras of one orbit must have one size")
+
+    def frames() -> Iterator[np.ndarray]:
+        bound: BoundField | None = None
+        gaze_before: Gaze | None = None
+        camera_before: Camera | None = None
+        frame = np.empty(0)
+        for camera, gaze in zip(cameras, gazes, strict=True):
+            if bound is None or gaze != gaze_before:
+                bound, gaze_before, camera_before = bind(gaze), gaze, None
+            if camera_before is None or not _same_view(camera, camera_before):
+                drawn = draw_panels(
+                    bound, camera, names, reference=reference, geometry_size=geometry_size, depth_range=depth_range
+                )
+                frame, camera_before = tile(drawn, columns, labels), camera
+            yield frame
+
+    return frames()
+
+
+def orbit_sidecar(
+    bound: BoundField,
+    cameras: Sequence[Camera],
+    gazes: Sequence[Gaze],
+    *,
+    panels: Sequence[str],
+    fps: float,
+    about: dict[str, Any] | None = None,
+) -> dict[str, Any]:
+    """What a player cannot see in the video, JSON-able: subject, weights, frame, cameras and gazes.
+
+    Args:
+        bound: The field at any gaze of the orbit; names the subject and weights.
+        cameras: One a frame.
+        gazes: One a frame.
+        panels: What every frame shows.
+        fps: Frames a second.
+        about: More to keep, such as the names of the paths.
+    """
+    return {
+        "format": ORBIT_FORMAT,
+        "subject": bound.subject.name,
+        "weights": bound.weights_hash,
+        "metres_per_unit": bound.metres_per_unit,
+        "world": "right-handed, Y up, face toward +Z, +X toward the subject's left",
+        "camera_axes": "OpenCV: x right, y down, z forward; pixel centres at +0.5; size is of one panel",
+        "panels": list(panels),
+        "fps": fps,
+        **(about or {}),
+        "frames": [
+            {"gaze_degrees": {"pitch": gaze.degrees[0], "yaw": gaze.degrees[1]}, "camera": camera.to_dict()}
+            for camera, gaze in zip(cameras, gazes, strict=True)
+        ],
+    }
+
+
+def sidecar_path(path: str | Path) -> Path:
+    """Where the sidecar of a video lies: its name and `.json`; `orbit.json` in a folder of pictures."""
+    path = Path(path)
+    if path.suffix == "":
+        return path / "orbit.json"
+    return path.parent / "orbit.json" if path.suffix.lower() == ".png" else path.with_name(path.name + ".json")
+
+
+def write_sidecar(path: str | Path, sidecar: dict[str, Any]) -> Path:
+    """Write a sidecar for the video at `path`; returns the sidecar's path.
+
+    Raises:
+        UserError: it cannot be written.
+    """
+    target = sidecar_path(path)
+    with whole_file(target) as temporary:
+        temporary.write_text(json.dumps(sidecar, indent=1), encoding="utf-8")
+    return target
+
+
+def _same_view(a: Camera, b: Camera) -> bool:
+    return a is b or a.to_dict() == b.to_dict()

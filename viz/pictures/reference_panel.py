@@ -1,0 +1,49 @@
+"""The subject's head model, drawn as its captures are: what the `reference` panel shows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from gazenerf.errors import UserError
+from gazenerf.geometry import Camera, Gaze
+from gazenerf.head_model import HeadMesh, load_head_model
+from gazenerf.head_model.shading import shade
+from gazenerf.subjects import Subject
+from gazenerf.viz.pictures.panels import ReferenceRenderer
+
+
+@contextmanager
+def head_pictures(subject: Subject, size: tuple[int, int]) -> Iterator[ReferenceRenderer]:
+    """A function that draws the subject's head model with its own light from a camera, off screen.
+
+    The off-screen context is freed at the end of the block.
+
+    Args:
+        subject: Must carry head-model parameters.
+        size: (width, height) of the cameras to come.
+
+    Raises:
+        UserError: no head-model parameters, parameters of another head model, or no off-screen OpenGL.
+    """
+    from gazenerf.data.rasterizer import Rasterizer
+
+    codes = subject.head
+    if codes is None:
+        raise UserError(f"{subject.name} has no head-model parameters; leave out the reference panel")
+    model = load_head_model()
+    if codes.sizes != model.code_sizes:
+        raise UserError(f"{subject.name} is of another head model than {model.name}; leave out the reference panel")
+    posed: dict[Gaze, HeadMesh] = {}
+    with Rasterizer(size) as rasterizer:
+
+        def draw(camera: Camera, gaze: Gaze) -> np.ndarray:
+            if gaze not in posed:
+                posed.clear()
+                posed[gaze] = model.mesh(codes, gaze)
+            mesh = posed[gaze]
+            return rasterizer.render(mesh, shade(mesh, codes.illumination, camera.position), camera).image
+
+        yield draw

@@ -1,0 +1,97 @@
+"""Many gazes or views of one head in one labelled picture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from gazenerf.errors import UserError
+from gazenerf.geometry import Camera, Gaze
+from gazenerf.heads.interface import BoundField
+from gazenerf.viz.pictures.colormaps import to_uint8
+from gazenerf.viz.pictures.layout import table
+
+Bind = Callable[[Gaze], BoundField]
+
+
+def gaze_grid(
+    bind: Bind,
+    camera: Camera,
+    pitches: Sequence[float] | np.ndarray,
+    yaws: Sequence[float] | np.ndarray,
+    *,
+    crop: tuple[int, int, int, int] | None = None,
+    done: Callable[[], None] | None = None,
+) -> np.ndarray:
+    """One camera, many gazes: rows are pitch with up on top, columns yaw with the subject's left at the right.
+
+    So the eyes of a tile look toward where the tile lies in the grid, as a viewer sees it.
+
+    Args:
+        bind: Makes the bound field of a gaze.
+        camera: Its size is the size of a tile.
+        pitches: Radians, any order.
+        yaws: Radians, any order.
+        crop: (left, top, right, bottom) pixels of every tile to keep.
+        done: Called after every tile.
+
+    Returns:
+        (H, W, 3) uint8.
+
+    Raises:
+        UserError: no pitches or no yaws.
+    """
+    if len(pitches) == 0 or len(yaws) == 0:
+        raise UserError("a gaze grid needs at least one pitch and one yaw")
+    down, across = sorted(pitches, reverse=True), sorted(yaws)
+    left, top, right, bottom = crop or (0, 0, camera.width, camera.height)
+    rows = []
+    for pitch in down:
+        row = []
+        for yaw in across:
+            row.append(to_uint8(bind(Gaze(float(pitch), float(yaw))).render(camera).image)[top:bottom, left:right])
+            if done is not None:
+                done()
+        rows.append(row)
+    return table(
+        rows, [_degrees(p) for p in down], [_degrees(y) for y in across], row_title="pitch", column_title="yaw"
+    )
+
+
+def contact_sheet(
+    bind: Bind, cameras: Sequence[Camera], gazes: Sequence[Gaze], *, done: Callable[[], None] | None = None
+) -> np.ndarray:
+    """Every gaze from every camera: rows are gazes (pitch, yaw), columns the cameras' yaw about the origin.
+
+    Args:
+        bind: Makes the bound field of a gaze.
+        cameras: All of one size.
+        gazes: Head frame.
+        done: Called after every tile.
+
+    Returns:
+        (H, W, 3) uint8.
+
+    Raises:
+        UserError: no cameras or no gazes.
+    """
+    if not cameras or not gazes:
+        raise UserError("a contact sheet needs at least one view and one gaze")
+    rows = []
+    for gaze in gazes:
+        bound = bind(gaze)
+        row = []
+        for camera in cameras:
+            row.append(bound.render(camera).image)
+            if done is not None:
+                done()
+        rows.append(row)
+    names = [f"{_degrees(gaze.pitch)}, {_degrees(gaze.yaw)}" for gaze in gazes]
+    views = [_degrees(Gaze.from_vector(camera.position).yaw) for camera in cameras]
+    return table(rows, names, views, row_title="gaze: pitch, yaw", column_title="camera yaw")
+
+
+def _degrees(angle: float) -> str:
+    degrees = round(float(np.rad2deg(angle)), 1)
+    return f"{degrees + 0.0:+g}°" if degrees else "0°"

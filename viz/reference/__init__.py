@@ -1,0 +1,1 @@
+"""The reference head drawn by Mitsuba, pyrender and open3d."""

@@ -1,0 +1,143 @@
+"""The field's surface and the reference, each coloured by its distance from the other, as one GLB."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gazenerf.export.appearance.colours import with_vertex_colours
+from gazenerf.export.formats.files import common_facts, in_metres
+from gazenerf.export.formats.gltf import Node, glb
+from gazenerf.export.mesh.triangles import to_pyvista
+from gazenerf.export.surface.density_surface import density_surface
+from gazenerf.export.surface.isosurface import METHODS
+from gazenerf.head_model import HeadMesh
+from gazenerf.heads.interface import BoundField
+from gazenerf.viz.report.heatmaps import signed_colours
+
+if TYPE_CHECKING:
+    import trimesh
+
+FILE = "error.glb"
+RESOLUTION = 128
+"""Grid points along the longest side of the field's surface."""
+
+GIVE_UP_MM = 15.0
+"""Farther from everything on the other side there is nothing to compare with; such vertices are grey."""
+
+LIMIT_MM = 3.0
+"""Distances beyond this take the end colours."""
+
+GREY = np.array([120, 120, 124], np.uint8)
+
+BESIDE_M = 0.3
+"""Metres by which the reference stands to the subject's left of the field in the file."""
+
+
+@dataclass(frozen=True)
+class ErrorMesh:
+    """Two coloured surfaces, world units, in one place.
+
+    Attributes:
+        field, reference: With vertex colours: white where both agree, blue where the field stands out of the reference,
+            red where it lies too deep, grey where the other side has nothing.
+        field_mm, reference_mm: (V,) signed distances, millimetres, positive where the field stands out; NaN where grey.
+        threshold: Density of the field's surface.
+    """
+
+    field: trimesh.Trimesh
+    reference: trimesh.Trimesh
+    field_mm: np.ndarray
+    reference_mm: np.ndarray
+    threshold: float
+
+    def facts(self) -> dict[str, Any]:
+        """Plain numbers for a sidecar and the report."""
+
+        def share(values: np.ndarray) -> dict[str, float | int | None]:
+            known = values[np.isfinite(values)]
+            near = {f"{q}_percentile_mm": float(np.percentile(known, q)) if known.size else None for q in (5, 50, 95)}
+            return {"vertices": len(values), "compared": int(known.size), **near}
+
+        return {
+            "colours": f"blue to red: field {LIMIT_MM:g} mm outside the reference to {LIMIT_MM:g} mm inside",
+            "limit_mm": LIMIT_MM,
+            "grey_beyond_mm": GIVE_UP_MM,
+            "reference_moved_m": [BESIDE_M, 0.0, 0.0],
+            "density_threshold": self.threshold,
+            "field": share(self.field_mm),
+            "reference": share(self.reference_mm),
+        }
+
+
+def error_mesh(
+    bound: BoundField,
+    mesh: HeadMesh,
+    *,
+    resolution: int = RESOLUTION,
+    threshold: str | float = "auto",
+    progress: Callable[[int, int], None] | None = None,
+) -> ErrorMesh:
+    """Colour the field's surface and the reference by their distance from each other.
+
+    Args:
+        bound: The field.
+        mesh: The reference at the same gaze.
+        resolution, threshold: Of the field's surface, see `density_surface`.
+        progress: Called with (steps done, all steps) of sampling the density.
+
+    Raises:
+        UserError: the field has no surface.
+    """
+    import trimesh
+
+    def tell(stage: str, done: int, total: int) -> None:
+        if progress is not None:
+            progress(done, total)
+
+    surface = density_surface(bound, "head", resolution=resolution, threshold=threshold, method=METHODS[0], tell=tell)
+    field = surface.mesh
+    reference = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    mm = 1000.0 * bound.metres_per_unit
+    out = mm * signed_distance(np.asarray(field.vertices), reference)
+    back = -mm * signed_distance(np.asarray(reference.vertices), field)
+    out, back = (np.where(np.abs(values) > GIVE_UP_MM, np.nan, values) for values in (out, back))
+    level = surface.threshold.level if surface.threshold else float("nan")
+    return ErrorMesh(_coloured(field, out), _coloured(reference, back), out, back, level)
+
+
+def signed_distance(points: np.ndarray, surface: trimesh.Trimesh) -> np.ndarray:
+    """(N,) distance of points (N, 3) from a surface, positive on the side its normals point to.
+
+    The surface may be open: the sign is that of the nearest point's pseudonormal (Baerentzen and Aanaes 2005), where a
+    facet's normal would be wrong at edges.
+    """
+    import pyvista as pv
+
+    cloud = pv.PolyData(np.ascontiguousarray(points, dtype=np.float64))
+    found = cloud.compute_implicit_distance(to_pyvista(surface))
+    return np.asarray(found["implicit_distance"])
+
+
+def write_error_mesh(error: ErrorMesh, bound: BoundField, folder: Path) -> dict[str, Any]:
+    """Write `error.glb` (metres, Y up) to a folder; what a report says of it."""
+    scale = bound.metres_per_unit
+    nodes = Node(
+        "error",
+        children=(
+            Node("field", in_metres(error.field, scale)),
+            Node("reference", in_metres(error.reference, scale), translation=(BESIDE_M, 0.0, 0.0)),
+        ),
+    )
+    (folder / FILE).write_bytes(glb(nodes))
+    return {"file": FILE, **error.facts(), **{k: v for k, v in common_facts(bound).items() if k in ("units", "frame")}}
+
+
+def _coloured(mesh: trimesh.Trimesh, outward_mm: np.ndarray) -> trimesh.Trimesh:
+    colours = signed_colours(-outward_mm, LIMIT_MM)
+    colours[~np.isfinite(outward_mm)] = GREY
+    return with_vertex_colours(mesh, colours)

@@ -1,0 +1,50 @@
+"""Pictures of where two opinions differ."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gazenerf.viz.metrics.agreement import DepthView, depth_difference_mm, eroded
+from gazenerf.viz.pictures.colormaps import to_uint8
+
+NOTHING = np.array([38, 38, 42], np.uint8)
+NEARER, FARTHER = np.array([33, 102, 172], np.uint8), np.array([178, 24, 43], np.uint8)
+LIMIT_MM = 10.0
+"""Depth differences beyond this take the end colours."""
+
+
+def signed_colours(values: np.ndarray, limit: float) -> np.ndarray:
+    """(H, W) signed values to (H, W, 3) uint8: blue nearer, white equal, red farther, dark where NaN."""
+    share = np.clip(np.nan_to_num(values) / limit, -1.0, 1.0)[..., None]
+    white = np.full(3, 247.0)
+    end = np.where(share > 0, FARTHER, NEARER).astype(np.float64)
+    out = np.round(white + (end - white) * np.abs(share)).astype(np.uint8)
+    out[~np.isfinite(values)] = NOTHING
+    return out
+
+
+def depth_difference_picture(
+    view: DepthView, reference: DepthView, metres_per_unit: float, limit_mm: float = LIMIT_MM
+) -> np.ndarray:
+    """Signed depth difference, (H, W, 3) uint8; `colour_bar` is its key."""
+    return signed_colours(depth_difference_mm(view, reference, metres_per_unit), limit_mm)
+
+
+def colour_bar(width: int = 256, height: int = 12) -> np.ndarray:
+    """(height, width, 3) uint8 the colours from minus to plus the limit."""
+    return signed_colours(np.linspace(-1.0, 1.0, width)[None].repeat(height, axis=0), 1.0)
+
+
+def silhouette_picture(view: DepthView, reference: DepthView, image: np.ndarray | None = None) -> np.ndarray:
+    """Both silhouettes over a picture, (H, W, 3) uint8.
+
+    Red is only the view's, blue only the reference's, and what both have shows the picture (grey
+    without one), rimmed by the reference's outline.
+    """
+    mine, theirs = np.isfinite(view.depth), np.isfinite(reference.depth)
+    out = np.full((*mine.shape, 3), 255, np.uint8)
+    out[mine & theirs] = 170 if image is None else to_uint8(image)[mine & theirs]
+    out[theirs & ~eroded(theirs)] = (60, 60, 60)
+    out[mine & ~theirs] = FARTHER
+    out[theirs & ~mine] = NEARER
+    return out

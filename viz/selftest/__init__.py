@@ -1,0 +1,1 @@
+"""An exact scene and faults of known size, which prove the metrics."""

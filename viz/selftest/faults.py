@@ -1,0 +1,197 @@
+"""Faults of known size in an exact scene, and what each gauge reads of them.
+
+`python -m gazenerf.viz.selftest.faults` prints the table of docs/consistency.md: every gauge against every fault.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from gazenerf.geometry import Gaze
+from gazenerf.head_model.interface import HeadMesh
+from gazenerf.viz.check.field import check_subject
+from gazenerf.viz.metrics.definitions import Metric
+from gazenerf.viz.selftest.exact_scene import SmoothScene, moved_mesh, scene_mesh
+
+FINDINGS: dict[str, tuple[float, int]] = {
+    "depth_median_mm": (0.3, 2),
+    "silhouette_iou": (0.995, 3),
+    "normal_median_deg": (0.3, 2),
+    "blemish_mm2": (20.0, 0),
+    "chamfer_mm": (0.3, 2),
+    "chamfer_aligned_mm": (0.15, 2),
+    "face_chamfer_mm": (0.3, 2),
+    "face_chamfer_aligned_mm": (0.15, 2),
+    "f_score_1mm": (0.95, 3),
+    "frame_shift_mm": (0.3, 2),
+    "frame_turn_deg": (0.25, 2),
+    "scale_percent": (0.3, 2),
+    "eye_centre_mm": (0.3, 2),
+    "reprojection": (0.985, 3),
+    "round_trip_px": (0.1, 2),
+    "warp_psnr": (40.0, 1),
+    "warp_long_psnr": (40.0, 1),
+    "warp_worst_psnr": (38.0, 1),
+    "warp_long_eye_region_psnr": (32.0, 1),
+    "reprojection_face": (0.985, 3),
+    "warp_psnr_face": (40.0, 1),
+    "reprojection_eyes": (0.985, 3),
+    "warp_psnr_eyes": (27.0, 1),
+    "warp_long_psnr_eyes": (26.0, 1),
+    "picture_iou": (0.995, 3),
+    "outline_shift_px": (0.3, 2),
+    "picture_shift_px": (0.5, 2),
+    "unfollowed_share": (0.2, 3),
+    "screen_stuck": (0.3, 3),
+    "gaze_error_deg": (0.5, 2),
+    "gaze_bias_deg": (0.5, 2),
+    "gaze_spread_deg": (0.5, 2),
+    "gaze_slope": (0.05, 3),
+    "gaze_crosstalk": (0.05, 3),
+    "gaze_nonlinear_deg": (0.5, 2),
+    "eye_drift_mm": (0.2, 2),
+    "eye_radius_drift_mm": (0.2, 2),
+    "eye_distance_mm": (0.2, 2),
+    "pose_change_mm": (0.2, 2),
+    "pose_change_deg": (0.2, 2),
+    "face_change_psnr": (40.0, 1),
+}
+"""Metric to the threshold beyond which a value of the exact scene is a finding, and the decimals shown.
+
+The scene has no noise of its own, so these are closer than the thresholds for trained fields."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault and the scene that has it.
+
+    Attributes:
+        scene: Arguments of `SmoothScene` that are the same at every gaze.
+        at: Gaze to more of them.
+        mesh: Reference head to the one that is compared with.
+    """
+
+    scene: dict[str, Any] = field(default_factory=dict)
+    at: Callable[[Gaze], dict[str, Any]] = lambda gaze: {}
+    mesh: Callable[[HeadMesh], HeadMesh] = lambda mesh: mesh
+
+    def bind(self, gaze: Gaze, seed: int = 0) -> SmoothScene:
+        """The scene at a gaze."""
+        return SmoothScene(gaze, seed=seed, **{**self.scene, **self.at(gaze)})
+
+    def reference(self) -> HeadMesh:
+        """What the scene is checked against."""
+        return self.mesh(scene_mesh(SmoothScene()))
+
+
+def _stiff(gaze: Gaze, share: float = 0.2) -> dict[str, Any]:
+    """Eyes that turn by less than they are told."""
+    return {"gaze_error": (-share * gaze.pitch, -share * gaze.yaw)}
+
+
+def _crossed(gaze: Gaze, share: float = 0.1) -> dict[str, Any]:
+    """Eyes that look up a little when told to look to the side."""
+    return {"gaze_error": (share * gaze.yaw, 0.0)}
+
+
+def _dragged(gaze: Gaze) -> dict[str, Any]:
+    """A face that moves by 1 mm a 10 degrees of yaw."""
+    return {"face_offset": (0.01 * np.rad2deg(gaze.yaw) / 10.0, 0.0, 0.0)}
+
+
+def _loose(gaze: Gaze) -> dict[str, Any]:
+    """A left eyeball that moves forward by 1 mm a 10 degrees of yaw."""
+    return {"eye_offset": (0.0, 0.0, 0.01 * np.rad2deg(gaze.yaw) / 10.0)}
+
+
+def _swollen(gaze: Gaze) -> dict[str, Any]:
+    """Eyeballs whose radius grows by 0.5 mm a 10 degrees of pitch."""
+    return {"eye_scale": 1.0 + 0.5 / 12.0 * np.rad2deg(gaze.pitch) / 10.0}
+
+
+def _turned(gaze: Gaze, share: float = 0.05) -> dict[str, Any]:
+    """A head that turns a little against the gaze, as its cameras turn with it."""
+    return {"camera_turn": share * gaze.yaw}
+
+
+def _flushed(gaze: Gaze) -> dict[str, Any]:
+    """Skin that is 2 % brighter a 10 degrees of yaw."""
+    return {"brightness": 1.0 + 0.02 * np.rad2deg(gaze.yaw) / 10.0}
+
+
+FAULTS: dict[str, Fault] = {
+    "none": Fault(),
+    "reference moved 2.0 mm to the left": Fault(mesh=partial(moved_mesh, offset_mm=(2.0, 0.0, 0.0))),
+    "reference moved 2.0 mm forward": Fault(mesh=partial(moved_mesh, offset_mm=(0.0, 0.0, 2.0))),
+    "reference 2 % larger": Fault(mesh=partial(moved_mesh, scale=1.02)),
+    "cameras off by 0.5 degrees of yaw": Fault({"camera_turn": np.deg2rad(0.5)}),
+    "left eye moved by 1.0 mm": Fault({"eye_offset": (0.0, 0.0, 0.01)}),
+    "left eye 1.0 mm too far out": Fault({"eye_offset": (0.01, 0.0, 0.0)}),
+    "floater 10 mm before the cheek": Fault({"spot": 0.1}),
+    "hole in the cheek": Fault({"spot": np.nan}),
+    "noise of 2.0 mm on depth": Fault({"depth_noise": 0.02}),
+    "pattern glued to the screen": Fault({"glued": True}),
+    "eyes stream glued to the screen": Fault({"eyes_only_glued": True}),
+    "picture of one view swapped": Fault({"swapped": 0.0}),
+    "pictures shifted by half a feature pixel": Fault({"image_shift": (0.5, 0.0)}),
+    "eyes turned by 3.0 degrees of yaw": Fault({"gaze_error": (0.0, np.deg2rad(3.0))}),
+    "eyes turn by 20 % less than told": Fault(at=_stiff),
+    "eyes look up by 10 % of yaw": Fault(at=_crossed),
+    "face dragged by the gaze, 1 mm a 10 degrees": Fault(at=_dragged),
+    "head turns by 5 % of the gaze": Fault(at=_turned),
+    "skin 2 % brighter a 10 degrees of gaze": Fault(at=_flushed),
+    "left eyeball moves with the gaze, 1 mm a 10 degrees": Fault(at=_loose),
+    "eyeballs grow with the gaze, 0.5 mm a 10 degrees": Fault(at=_swollen),
+}
+"""Name to what is wrong."""
+
+
+def read_gauges(
+    fault: Fault, *, views: int = 7, size: int = 192, seed: int = 0, renderer: str = "open3d", eyes: bool = True
+) -> dict[str, Metric]:
+    """The metrics of `FINDINGS` that `gazenerf check` measures of a fault, by name.
+
+    Args:
+        fault: What is checked.
+        views: How many.
+        size: Of the views, pixels.
+        seed: Of noise and surface samples.
+        renderer: Of the reference.
+        eyes: Look at the eyes over a gaze grid too.
+    """
+    mesh = fault.reference()
+    result = check_subject(
+        fault.bind(Gaze(), seed), mesh, views=views, size=size, renderers=(renderer,), seed=seed,
+        bind=partial(fault.bind, seed=seed) if eyes else None, mesh_at=lambda gaze: mesh,
+    )  # fmt: skip
+    return {name: result.metric(name) for name in FINDINGS}
+
+
+def findings(metrics: dict[str, Metric]) -> set[str]:
+    """Names of the metrics that are worse than their threshold in `FINDINGS`."""
+    return {name for name, metric in metrics.items() if metric.crosses(FINDINGS[name][0])}
+
+
+def table(size: int = 192, seed: int = 0) -> str:
+    """The metrics of every fault as Markdown, a column a fault; findings are bold."""
+    readings = {name: read_gauges(fault, size=size, seed=seed) for name, fault in FAULTS.items()}
+    head = ["metric", "finding", *readings]
+    lines = [head, ["---"] * len(head)]
+    for name, (limit, decimals) in FINDINGS.items():
+        cells = []
+        for metrics in readings.values():
+            value = metrics[name].value
+            text = f"{value:.{decimals}f}" if np.isfinite(value) else "none"
+            cells.append(f"**{text}**" if name in findings(metrics) else text)
+        sign = "<" if readings["none"][name].higher_is_better else ">"
+        lines.append([f"`{name}`", f"{sign} {limit:g}", *cells])
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+if __name__ == "__main__":
+    print(table())
