@@ -48,15 +48,17 @@ class HeadMesh:
 
 
 class HeadModel(Protocol):
-    """A parametric head.
+    """A parametric head."""
 
-    Attributes:
-        code_sizes: (identity, expression, texture, illumination).
-        name: Names the model in files.
-    """
+    @property
+    def code_sizes(self) -> tuple[int, int, int, int]:
+        """(identity, expression, texture, illumination)."""
+        ...
 
-    code_sizes: tuple[int, int, int, int]
-    name: str
+    @property
+    def name(self) -> str:
+        """Names the model in files."""
+        ...
 
     def mesh(self, codes: Codes, gaze: Gaze) -> HeadMesh:
         """The posed head; lids follow the gaze."""

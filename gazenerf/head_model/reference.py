@@ -37,7 +37,7 @@ class ReferenceHead:
         """
         if subject.head is None:
             return None
-        model = model or load_head_model()
+        model = load_head_model() if model is None else model
         return cls(model, subject.head) if subject.head.sizes == model.code_sizes else None
 
     def at(self, gaze: Gaze) -> HeadMesh:
