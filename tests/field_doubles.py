@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +64,13 @@ class BallStream(Stream):
         return density, torch.ones(*points.shape[:-1], self.config.hidden // 2) if features else torch.empty(0)
 
 
+@dataclass(frozen=True)
+class ShiftedCondition(StreamCondition):
+    """A condition that also moves the ball up, world units."""
+
+    shift: float = 0.0
+
+
 class SoftStream(BallStream):
     """A ball that is soft enough for a lattice, with colours; `drift` moves it with the pitch."""
 
@@ -74,13 +82,14 @@ class SoftStream(BallStream):
     def condition(
         self, shape_code: torch.Tensor, appearance_code: torch.Tensor, gaze_label: torch.Tensor
     ) -> StreamCondition:
-        self.shift = self.drift * float(gaze_label[0, 0])
-        return super().condition(shape_code, appearance_code, gaze_label)
+        plain = super().condition(shape_code, appearance_code, gaze_label)
+        return ShiftedCondition(**vars(plain), shift=self.drift * float(gaze_label[0, 0]))
 
     def query(
         self, points: torch.Tensor, condition: StreamCondition, features: bool = True
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        inside = self.radius - (points - self.centre - torch.tensor([0.0, self.shift, 0.0])).norm(dim=-1)
+        assert isinstance(condition, ShiftedCondition)
+        inside = self.radius - (points - self.centre - torch.tensor([0.0, condition.shift, 0.0])).norm(dim=-1)
         density = self.density_of(inside)
         waves = torch.sin(points @ torch.linspace(-3, 3, 3 * (self.config.hidden // 2)).reshape(3, -1))
         return density, waves if features else torch.empty(0)

@@ -125,7 +125,7 @@ def test_official_checkpoint_is_the_published_network(official: Path) -> None:
     }
     with np.load(PARITY / "gazenerf_a.npz", allow_pickle=False) as data, torch.no_grad():
         inputs = {key[3:]: torch.from_numpy(data[key]) for key in data.files if key.startswith("in.")}
-        image = found.field.render_reference(
+        image = found.field.published_forward(
             inputs["shape_code"],
             inputs["appearance_code"],
             inputs["gaze"],

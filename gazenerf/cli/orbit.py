@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import time
-import warnings
 from contextlib import nullcontext
 
 import numpy as np
@@ -75,7 +74,6 @@ def run(args: argparse.Namespace) -> int:
     """Render, write the video and its sidecar, and print what was written."""
     from gazenerf.cli.common import progress
     from gazenerf.cli.views import (
-        beyond_training,
         counted,
         eye_midpoint,
         gaze_limits,
@@ -85,6 +83,7 @@ def run(args: argparse.Namespace) -> int:
         warn,
     )
     from gazenerf.heads.choose import choose_path
+    from gazenerf.heads.head import Head
     from gazenerf.viz.pictures.orbit import frame_size, orbit_sidecar, render_orbit, sidecar_path, write_sidecar
     from gazenerf.viz.pictures.panels import check_panels
     from gazenerf.viz.pictures.reference_panel import head_pictures
@@ -101,21 +100,19 @@ def run(args: argparse.Namespace) -> int:
         raise UserError(f"unknown gaze path {name!r}; choose {', '.join(GAZE_PATHS)}")
 
     field, subject = load_scene(args)
-    limits = gaze_limits(field)
+    head, limits = Head(field, subject), gaze_limits(field)
     given = [Gaze.from_degrees(pitch, yaw) for pitch, yaw in args.gaze]
     eyes = eye_midpoint(subject) if name == "look-at-camera" else np.zeros(3)
     gazes = gaze_path(name, cameras, gazes=given, limits=limits, eyes=eyes)
-    if note := beyond_training(field, gazes):
-        warn(note)
+    if beyond := head.check(gazes):
+        warn(str(beyond))
     started = time.perf_counter()
-    with warnings.catch_warnings(record=True) as notes:
-        warnings.simplefilter("always")
-        path = choose_path(field, subject, cameras, gazes, args.speed)
-    for note in notes:
-        warn(str(note.message))
+    path = choose_path(head, cameras, gazes, args.speed)
+    if path.note:
+        warn(path.note)
     with head_pictures(subject, (args.size, args.size)) if "reference" in args.panels else nullcontext() as reference:
         frames = render_orbit(
-            path.bind,
+            path.head,
             cameras,
             gazes,
             args.panels,
@@ -128,7 +125,7 @@ def run(args: argparse.Namespace) -> int:
             files = write_video(args.out, counted(frames, advance), args.fps, args.crf)
     seconds = time.perf_counter() - started
     about = {"camera_path": args.camera_path, "gaze_path": name, "width": width, "height": height, "speed": path.name}
-    bound = path.bind(gazes[0])
+    bound = path.head.at(gazes[0])
     sidecar = orbit_sidecar(bound, cameras, gazes, panels=args.panels, fps=args.fps, about=about)
     written = write_sidecar(args.out, sidecar)
     assert written == sidecar_path(args.out)

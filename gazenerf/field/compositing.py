@@ -1,10 +1,20 @@
-"""Volume rendering weights, of one medium and of two in the same place."""
+"""Volume rendering of one medium, and of two in the same place.
+
+`composite_stream` and `composite_streams` are the only places where samples become what a ray sees:
+the published pass, the renderer and training all call them.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import torch
 
 EPSILON = 1e-10
+
+Project = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
+"""Sums of hidden features along rays (..., R, K) and of their weights (..., R) to features (..., R, C)."""
 
 
 def transmittance(alpha: torch.Tensor) -> torch.Tensor:
@@ -47,3 +57,69 @@ def composite_joint(
     weights, opacity = composite(total, deltas)
     share = density_eyes / total.clamp(min=EPSILON)
     return weights * (1.0 - share), weights * share, opacity
+
+
+@dataclass(frozen=True)
+class StreamSamples:
+    """What one stream holds at the samples of rays.
+
+    Attributes:
+        density: (..., R, S) per world unit.
+        features: (..., R, S, K), final ones or hidden ones that `project` completes.
+        project: Applied after compositing, once per ray; None where the features are final.
+    """
+
+    density: torch.Tensor
+    features: torch.Tensor
+    project: Project | None = None
+
+    def along(self, weights: torch.Tensor) -> torch.Tensor:
+        """Features of rays (..., R, C) from weights of their samples (..., R, S)."""
+        summed = (weights.to(self.features.dtype).unsqueeze(-2) @ self.features).squeeze(-2)
+        return summed if self.project is None else self.project(summed, weights.sum(-1)).float()
+
+    def rays(self, index: torch.Tensor) -> StreamSamples:
+        """The samples of some rays: a mask or numbers of the first dimension."""
+        return StreamSamples(self.density[index], self.features[index], self.project)
+
+
+@dataclass(frozen=True)
+class Composited:
+    """What rays see of a medium, without what is behind it.
+
+    Attributes:
+        features: (..., R, C).
+        opacity: (..., R).
+        weights: (..., R, S) of the samples.
+        weights_eyes: (..., R, S) the eyes' share of them where the medium is face and eyes, else None.
+    """
+
+    features: torch.Tensor
+    opacity: torch.Tensor
+    weights: torch.Tensor
+    weights_eyes: torch.Tensor | None = None
+
+    def over(self, background: torch.Tensor) -> torch.Tensor:
+        """(..., R, C) with the features behind it (..., R, C) added."""
+        return self.features + (1.0 - self.opacity[..., None]) * background
+
+
+def composite_stream(samples: StreamSamples, deltas: torch.Tensor) -> Composited:
+    """One stream along rays whose samples stand for lengths `deltas` (..., R, S), world units."""
+    weights, opacity = composite(samples.density, deltas)
+    return Composited(samples.along(weights), opacity, weights)
+
+
+def composite_streams(
+    face: StreamSamples, eyes: StreamSamples, deltas: torch.Tensor, turn: Callable[[torch.Tensor], torch.Tensor]
+) -> Composited:
+    """Face and eyes along the same rays as one medium; see `composite_joint`.
+
+    Args:
+        face, eyes: At the same samples.
+        deltas: (..., R, S) world units.
+        turn: Turns the eyes' features (..., R, C) by the gaze (paper Sec. 3.2).
+    """
+    weights_face, weights_eyes, opacity = composite_joint(face.density, eyes.density, deltas)
+    features = face.along(weights_face) + turn(eyes.along(weights_eyes))
+    return Composited(features, opacity, weights_face + weights_eyes, weights_eyes)

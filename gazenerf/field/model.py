@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import Any
 
 import torch
 from torch import nn
 
-from gazenerf.field.compositing import composite, composite_joint
+from gazenerf.field.compositing import StreamSamples, composite_stream, composite_streams
 from gazenerf.field.config import FieldConfig
 from gazenerf.field.eye_motion import EYE_MOTIONS
 from gazenerf.field.neural_renderer import NeuralRenderer
 from gazenerf.field.streams import Stream, StreamCondition
-
-if TYPE_CHECKING:
-    from gazenerf.geometry import Gaze
-    from gazenerf.heads.bound import BoundTwoStream
-    from gazenerf.heads.occupancy import Occupancy
-    from gazenerf.heads.upsampler import Upsampler
-    from gazenerf.subjects import Subject
 
 
 class TwoStreamField(nn.Module):
@@ -30,7 +24,6 @@ class TwoStreamField(nn.Module):
         renderer: Shared by all pictures.
         about: Provenance stored with the weights, JSON-able.
         weights_hash: Names the weights; empty for a field that was never saved.
-        occupancies: What bound fields found out about where a subject's density is.
     """
 
     def __init__(self, config: FieldConfig) -> None:
@@ -41,8 +34,6 @@ class TwoStreamField(nn.Module):
         self.renderer = NeuralRenderer(config)
         self.about: dict[str, Any] = {}
         self.weights_hash = ""
-        self.occupancies: dict[tuple[bytes, str, int], dict[str, Occupancy]] = {}
-        self._upsamplers: dict[tuple[str, int], Upsampler] = {}
 
     def stream(self, name: str) -> Stream:
         """A stream by name."""
@@ -73,30 +64,32 @@ class TwoStreamField(nn.Module):
         density, hidden = self.stream(name).query(points, condition, features)
         return self.confine(name, density, points), hidden
 
+    def samples(
+        self, name: str, points: torch.Tensor, condition: StreamCondition, batched: bool = True
+    ) -> StreamSamples:
+        """`query` of a stream by name as samples of rays, to be composited.
+
+        Args:
+            points: (B, R, S, 3), or (R, S, 3) of one image where not `batched`.
+            condition: Of the same B, or of one image.
+        """
+        density, hidden = self.query(name, points if batched else points[None], condition)
+        if batched:
+            return StreamSamples(density, hidden, self.stream(name).project)
+        return StreamSamples(density[0], hidden[0].float(), self.stream(name).project)
+
     @property
     def version(self) -> int:
         """Changes whenever a weight does; what is derived from weights is kept under it."""
         return hash(tuple((value.data_ptr(), value._version) for value in self.parameters()))
 
-    def upsampler(self, backend: str) -> Upsampler:
-        """The renderer by a backend of `gazenerf.heads.upsampler`, prepared once for the present weights."""
-        from gazenerf.heads.upsampler import make_upsampler
+    def bind(self, subject: Any, gaze: Any, **options: Any) -> Any:
+        """For callers that have not moved to `Head` yet."""
+        from gazenerf.heads.head import Head
 
-        key = (backend, self.version)
-        if key not in self._upsamplers:
-            stale = [known for known in self._upsamplers if known[1] != key[1]]
-            for known in stale:
-                del self._upsamplers[known]
-            self._upsamplers[key] = make_upsampler(self.renderer, backend)
-        return self._upsamplers[key]
+        return Head(self, subject, **options).at(gaze)
 
-    def bind(self, subject: Subject, gaze: Gaze, **options: Any) -> BoundTwoStream:
-        """This field with a subject and a gaze fixed; see `BoundTwoStream` for the options."""
-        from gazenerf.heads.bound import BoundTwoStream
-
-        return BoundTwoStream(self, subject, gaze, **options)
-
-    def render_reference(
+    def published_forward(
         self,
         shape_code: torch.Tensor,
         appearance_code: torch.Tensor,
@@ -136,28 +129,23 @@ class TwoStreamField(nn.Module):
         flat = background.flatten(2).transpose(1, 2)
         out: dict[str, torch.Tensor] = {"points": points, "image_background": self.renderer(background)}
         maps: dict[str, torch.Tensor] = {}
-        queried: dict[str, tuple[torch.Tensor, torch.Tensor]] = {}
+        seen: dict[str, StreamSamples] = {}
         for name in self.streams:
             density, features = self.stream(name)(samples, shape_code, appearance_code, gaze_label)
-            density = self.confine(name, density, samples)
-            weights, opacity = composite(density, deltas)
-            rendered = (weights[..., None] * features).sum(2) + (1.0 - opacity[..., None]) * flat
-            if name != "face":
-                rendered = self.move_eyes(rendered, gaze_label[:, None])
-            maps[name] = rendered
-            queried[name] = density, features
-            out[f"background_alpha_{name}"] = (1.0 - opacity)[:, None]
-            out[f"depth_{name}"] = (weights * displacement[..., :-1]).sum(-1)[:, None]
-            out[f"density_{name}"] = density[:, None]
+            seen[name] = StreamSamples(self.confine(name, density, samples), features)
+            found = composite_stream(seen[name], deltas)
+            rows = found.over(flat)
+            maps[name] = rows if name == "face" else self.move_eyes(rows, gaze_label[:, None])
+            out[f"background_alpha_{name}"] = (1.0 - found.opacity)[:, None]
+            out[f"depth_{name}"] = (found.weights * displacement[..., :-1]).sum(-1)[:, None]
+            out[f"density_{name}"] = seen[name].density[:, None]
         if "head" in maps:
             merged = maps["head"]
         elif config.merge == "max":
             merged = torch.maximum(maps["face"], maps["eyes"])
         else:
-            (density_face, face), (density_eyes, eyes) = queried["face"], queried["eyes"]
-            w_face, w_eyes, opacity = composite_joint(density_face, density_eyes, deltas)
-            turned = self.move_eyes((w_eyes[..., None] * eyes).sum(2), gaze_label[:, None])
-            merged = (w_face[..., None] * face).sum(2) + turned + (1.0 - opacity[..., None]) * flat
+            turn = partial(self.move_eyes, label=gaze_label[:, None])
+            merged = composite_streams(seen["face"], seen["eyes"], deltas, turn).over(flat)
 
         def picture(rows: torch.Tensor) -> torch.Tensor:
             return self.renderer(rows.transpose(1, 2).reshape(batch, -1, size, size))

@@ -1,19 +1,30 @@
 """Where rays are sampled: world-z slabs as published, by distance through a box, or in a shell.
 
-Every sampler returns distances t (R, S) along unit rays, increasing, and deltas (R, S), the lengths
-of the intervals the samples stand for, in world units.
+Every sampler returns `RaySamples`.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import torch
 
 from gazenerf.field.config import FieldConfig
 
 
-def slab_samples(
-    rays_o: torch.Tensor, rays_d: torch.Tensor, config: FieldConfig, jitter: bool = False
-) -> tuple[torch.Tensor, torch.Tensor]:
+class RaySamples(NamedTuple):
+    """Samples of rays.
+
+    Attributes:
+        t: (R, S) distances along unit rays, increasing, world units.
+        deltas: (R, S) lengths of the intervals that the samples stand for, world units.
+    """
+
+    t: torch.Tensor
+    deltas: torch.Tensor
+
+
+def slab_samples(rays_o: torch.Tensor, rays_d: torch.Tensor, config: FieldConfig, jitter: bool = False) -> RaySamples:
     """Samples at evenly spaced world z, as published.
 
     `config.samples` + 1 edges run from `z_near` to `z_far`; the last one is dropped for positions.
@@ -32,7 +43,7 @@ def slab_samples(
         edges = upper + (lower - upper) * torch.rand_like(edges)
     slope = rays_d[:, 2:]
     t = (edges - rays_o[:, 2:]) / torch.where(slope.abs() < 1e-6, torch.full_like(slope, -1e-6), slope)
-    return t[:, :-1], (t[:, 1:] - t[:, :-1]).abs()
+    return RaySamples(t[:, :-1], (t[:, 1:] - t[:, :-1]).abs())
 
 
 def box_interval(rays_o: torch.Tensor, rays_d: torch.Tensor, box: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -46,22 +57,18 @@ def box_interval(rays_o: torch.Tensor, rays_d: torch.Tensor, box: torch.Tensor) 
 
 def ray_samples(
     rays_o: torch.Tensor, rays_d: torch.Tensor, box: torch.Tensor, count: int, jitter: bool = False
-) -> tuple[torch.Tensor, torch.Tensor]:
+) -> RaySamples:
     """Samples evenly spaced by distance through a box (2, 3), for rays of any direction."""
     near, far = box_interval(rays_o, rays_d, box)
     return interval_samples(near, far, count, jitter)
 
 
-def shell_samples(
-    distance: torch.Tensor, half_width: float, count: int, jitter: bool = False
-) -> tuple[torch.Tensor, torch.Tensor]:
+def shell_samples(distance: torch.Tensor, half_width: float, count: int, jitter: bool = False) -> RaySamples:
     """Samples within `half_width` of a distance (R,) along each ray, evenly spaced."""
     return interval_samples(distance - half_width, distance + half_width, count, jitter)
 
 
-def interval_samples(
-    near: torch.Tensor, far: torch.Tensor, count: int, jitter: bool = False
-) -> tuple[torch.Tensor, torch.Tensor]:
+def interval_samples(near: torch.Tensor, far: torch.Tensor, count: int, jitter: bool = False) -> RaySamples:
     """One sample in each of `count` equal intervals between near (R,) and far (R,).
 
     In the middle of its interval, or anywhere in it with `jitter`. A sample's delta is the distance
@@ -71,4 +78,4 @@ def interval_samples(
     place = torch.arange(count, device=near.device, dtype=near.dtype)[None]
     offset = torch.rand(near.shape[0], count, device=near.device) if jitter else 0.5
     t = near[:, None] + (place + offset) * step
-    return t, torch.cat([t[:, 1:] - t[:, :-1], step], dim=1)
+    return RaySamples(t, torch.cat([t[:, 1:] - t[:, :-1], step], dim=1))

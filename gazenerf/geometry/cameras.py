@@ -257,10 +257,12 @@ class Camera:
             raise ValueError(f"not a camera: {error}") from error
 
 
-def camera_rays(camera: Camera, pixels: np.ndarray | None = None) -> tuple[torch.Tensor, torch.Tensor]:
-    """`Camera.rays` flattened to float32 tensors: rays_o (N, 3), rays_d (N, 3), x fastest."""
+def camera_rays(
+    camera: Camera, pixels: np.ndarray | None = None, device: torch.device | str = "cpu"
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """`Camera.rays` flattened to float32 tensors on a device: rays_o (N, 3), rays_d (N, 3), x fastest."""
     rays_o, rays_d = camera.rays(pixels)
     return (
-        torch.from_numpy(rays_o.reshape(-1, 3).astype(np.float32)),
-        torch.from_numpy(rays_d.reshape(-1, 3).astype(np.float32)),
+        torch.from_numpy(rays_o.reshape(-1, 3).astype(np.float32)).to(device),
+        torch.from_numpy(rays_d.reshape(-1, 3).astype(np.float32)).to(device),
     )

@@ -3,7 +3,7 @@
 Features do not depend on the view, so what the network says at the lattice's vertices serves every
 camera: a frame costs a walk through the lattice, weighted sums of its rows and one up-sampler pass.
 At the gaze it was baked for, nothing else is computed. At another gaze the face is kept as it was, and
-rays that meet the occupied cells of the eyes are asked of the network anew; lids and eyeballs are
+the network is queried anew along rays that meet the occupied cells of the eyes; lids and eyeballs are
 therefore exact, and only the little that the gaze changes in the rest of the face is lost.
 """
 
@@ -20,11 +20,14 @@ from gazenerf.errors import UserError
 from gazenerf.field.compositing import composite
 from gazenerf.field.sampling import shell_samples
 from gazenerf.geometry import Camera, Gaze
-from gazenerf.heads.bound import CHUNK, BoundTwoStream
-from gazenerf.heads.feature_map import Composited, FeatureGrid, Window, to_picture
+from gazenerf.heads.bound import BoundHead
+from gazenerf.heads.feature_map import FeatureGrid, RayFeatures, Window, to_picture
+from gazenerf.heads.head import Head
 from gazenerf.heads.interface import OPACITY_FLOOR, GeometryView, Part, RenderedView
 from gazenerf.heads.lattice import Band, DensityLattice
+from gazenerf.heads.march import CHUNK
 from gazenerf.heads.occupancy import Occupancy
+from gazenerf.heads.render import composite_near
 
 FAINT = 1e-3
 """Samples of less weight are left out; the others share theirs."""
@@ -41,7 +44,7 @@ class BakeReport:
 
     Attributes:
         seconds: Wall time.
-        vertices: Lattice vertices asked of the network.
+        vertices: Lattice vertices at which the network was queried.
         nbytes: Memory kept.
         gaze: What it was baked for.
     """
@@ -84,11 +87,11 @@ class FeatureLattice:
         Args:
             points: (N, 3), ray after ray.
             weights: (N,) of the points.
-            counts: (R,) points of each ray.
+            counts: (R,) points per ray.
             total: (R,) what the weights of each ray are scaled to add up to.
 
         Returns:
-            (R, C). Vertices that were not baked have no say; their weight goes to the others.
+            (R, C). Vertices that were not baked are left out; their weight goes to the others.
         """
         place = (points - self.low) * self.scale
         cell = place.floor().clamp_(0, self.size - 2)
@@ -99,7 +102,9 @@ class FeatureLattice:
         share = share.reshape(-1) * (rows > 0)
         ends = 8 * counts.cumsum(0)
         offsets = torch.cat([ends.new_zeros(1), ends[:-1]])
-        sums = torch.zeros_like(total).index_add_(0, torch.arange(len(counts)).repeat_interleave(8 * counts), share)
+        sums = torch.zeros_like(total).index_add_(
+            0, torch.arange(len(counts), device=counts.device).repeat_interleave(8 * counts), share
+        )
         found = F.embedding_bag(rows, self.table, offsets.int(), mode="sum", per_sample_weights=share)
         return found * (total / sums.clamp(min=1e-9))[:, None]
 
@@ -120,45 +125,62 @@ class Bake:
     report: BakeReport
 
 
-def bake(bound: BoundTwoStream) -> BakedHead:
-    """Bake a bound head at its gaze.
+def bake(head: Head, gaze: Gaze) -> BakedHead:
+    """Bake a head at a gaze.
 
     Raises:
         UserError: the field cannot be baked: not sampled around a surface, merged after compositing, or
             its density is nearly everywhere.
     """
     started = time.perf_counter()
-    config = bound.field.config
-    if bound.sampler != "guided" or config.streams != "two" or config.merge != "joint":
+    config = head.field.config
+    if head.sampler != "guided" or config.streams != "two" or config.merge != "joint":
         raise UserError("only fields of two streams, sampled around a surface and merged as one medium, can be baked")
+    bound = head.at(gaze)
     with torch.inference_mode():
-        eyes = bound.occupancy(("eyes",))
-        band = Band.of(bound.occupancy(("face", "eyes")), eyes.cells)
-        if not bound.sparse or len(band.vertices) > MOST_OF_THE_BOX * band.inside.numel():
+        eyes = head.occupancy(("eyes",))
+        band = Band.of(head.occupancy(("face", "eyes")), eyes.cells)
+        if not head.sparse or len(band.vertices) > MOST_OF_THE_BOX * band.inside.numel():
             raise UserError("the density of this field is nearly everywhere; there is no surface to bake")
-        found = [bound.head_features(points) for points in band.points.split(CHUNK // 4)]
+        found = [bound.features(points) for points in band.points.split(CHUNK // 4)]
         density = DensityLattice(band, torch.cat([item[0] for item in found]))
         features = FeatureLattice(band, torch.cat([item[1] for item in found]))
-    report = BakeReport(time.perf_counter() - started, len(band.vertices), density.nbytes + features.nbytes, bound.gaze)
-    return BakedHead(Bake(density, features, eyes, report), bound)
+    report = BakeReport(time.perf_counter() - started, len(band.vertices), density.nbytes + features.nbytes, gaze)
+    return BakedHead(head, Bake(density, features, eyes, report))
 
 
 class BakedHead:
-    """See `gazenerf.heads.interface.BoundField`; made by `bake`, turned to other gazes by `at`.
+    """See `gazenerf.heads.interface.HeadField`; made by `bake`.
 
-    `render` of `head` is baked; other parts, densities and full-size geometry are the bound field's own.
+    Args:
+        head: What was baked; it renders what is not.
+        baked: The lattices.
     """
 
-    def __init__(self, baked: Bake, bound: BoundTwoStream) -> None:
-        self.baked, self.bound = baked, bound
-        self.subject, self.gaze, self.box = bound.subject, bound.gaze, bound.box
-        self.metres_per_unit, self.weights_hash = bound.metres_per_unit, bound.weights_hash
-        self.held = bound.gaze == baked.report.gaze
+    def __init__(self, head: Head, baked: Bake) -> None:
+        self.head, self.baked, self.subject = head, baked, head.subject
 
     @property
     def report(self) -> BakeReport:
         """What the bake cost."""
         return self.baked.report
+
+    def at(self, gaze: Gaze) -> BakedBoundHead:
+        """The same bake with the eyes turned; binds the gaze."""
+        return BakedBoundHead(self.baked, self.head.at(gaze))
+
+
+class BakedBoundHead:
+    """See `gazenerf.heads.interface.BoundField`; made by `BakedHead.at`.
+
+    `render` of `head` is baked; other parts, densities and full-size geometry are the bound head's own.
+    """
+
+    def __init__(self, baked: Bake, bound: BoundHead) -> None:
+        self.baked, self.bound = baked, bound
+        self.subject, self.gaze, self.box = bound.subject, bound.gaze, bound.box
+        self.metres_per_unit, self.weights_hash = bound.metres_per_unit, bound.weights_hash
+        self.held = bound.gaze == baked.report.gaze
 
     @property
     def parts(self) -> tuple[Part, ...]:
@@ -169,12 +191,6 @@ class BakedHead:
     def background(self) -> np.ndarray:
         """(3,) sRGB of an empty ray."""
         return self.bound.background
-
-    def at(self, gaze: Gaze) -> BakedHead:
-        """The same bake with the eyes turned; binds the gaze."""
-        if gaze == self.gaze:
-            return self
-        return BakedHead(self.baked, self.bound.at(gaze))
 
     def density(self, points: torch.Tensor, part: Part = "head") -> torch.Tensor:
         """See `BoundField`; not baked."""
@@ -197,31 +213,28 @@ class BakedHead:
         return RenderedView(camera, {part: images[part] for part in parts}, geometry)
 
     def _render_head(self, camera: Camera) -> tuple[np.ndarray, GeometryView]:
-        field = self.bound.field
-        grid = FeatureGrid.of(camera, field.config)
+        head = self.bound.head
+        grid = FeatureGrid.of(camera, head.field.config, head.device)
         rows, columns = grid.shape
         with torch.inference_mode():
-            background = field.renderer.background(rows, columns)[0].flatten(1).T.float()
+            background = head.field.renderer.background(rows, columns)[0].flatten(1).T.float()
             found = self._composited(grid.rays_o, grid.rays_d, background)
-            features, opacity, distance = grid.smooth_outline(self._composited, background, found)
-            picture = self.bound.upsample(features.T.reshape(1, -1, rows, columns))[0]
-        geometry = GeometryView(
-            grid.camera, opacity.reshape(rows, columns).numpy(), distance.reshape(rows, columns).numpy()
-        )
-        return to_picture(picture, camera), geometry
+            seen = grid.smooth_outline(self._composited, background, found)
+            picture = head.upsample(seen.features.T.reshape(1, -1, rows, columns))[0]
+        return to_picture(picture, camera), grid.geometry(seen)
 
     def _composited(
         self, rays_o: torch.Tensor, rays_d: torch.Tensor, background: torch.Tensor, window: Window | None = None
-    ) -> Composited:
+    ) -> RayFeatures:
         config, density = self.bound.field.config, self.baked.density
-        features, opacity = background.clone(), torch.zeros(len(rays_o))
-        distance = torch.full((len(rays_o),), torch.nan)
+        features, opacity = background.clone(), rays_o.new_zeros(len(rays_o))
+        distance = rays_o.new_full((len(rays_o),), torch.nan)
         surface, hit = density.first_surface(rays_o, rays_d)
         if not self.held:
             near = self.baked.eyes.at(rays_o + surface.nan_to_num()[:, None] * rays_d) & hit
             live, hit = near.nonzero()[:, 0], hit & ~near
-            features[live], opacity[live], distance[live] = self.bound.composite_near(
-                rays_o[live], rays_d[live], surface[live], background[live]
+            features[live], opacity[live], distance[live] = composite_near(
+                self.bound, rays_o[live], rays_d[live], surface[live], background[live]
             )
         rays = hit.nonzero()[:, 0]
         t, deltas = shell_samples(surface[rays], config.shell, config.shell_samples)
@@ -233,4 +246,4 @@ class BakedHead:
         opacity[rays] = alpha
         expected = (weights * t).sum(-1) / alpha.clamp(min=1e-6)
         distance[rays] = torch.where(alpha >= OPACITY_FLOOR, expected, torch.nan)
-        return features, opacity, distance
+        return RayFeatures(features, opacity, distance)

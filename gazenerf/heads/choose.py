@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import time
-import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from gazenerf.errors import UserError
-from gazenerf.field.model import TwoStreamField
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.heads.baked import BakeReport, bake
-from gazenerf.heads.interface import BoundField
+from gazenerf.heads.head import Head
+from gazenerf.heads.interface import HeadField
 from gazenerf.image_metrics import psnr
-from gazenerf.subjects import Subject
 
 SPEEDS = ("auto", "baked", "guided", "exact")
 """`exact` computes every sample, `guided` those around the surface, `baked` interpolates; `auto` chooses."""
@@ -31,22 +29,24 @@ SAMPLED = 3
 
 
 @dataclass(frozen=True)
-class Path:
+class RenderPath:
     """How a flight is drawn.
 
     Attributes:
         name: One of `SPEEDS` but `auto`.
-        bind: Gaze to the bound field that draws it.
+        head: Draws it.
         bake: What the bake cost, None unless baked.
         psnr: Least agreement (dB) with the guided path on sampled frames, None when not measured.
         check_seconds: Wall time of that measurement.
+        note: Why another path was taken than the one that was asked for; empty when it was not.
     """
 
     name: str
-    bind: Callable[[Gaze], BoundField]
+    head: HeadField
     bake: BakeReport | None = None
     psnr: float | None = None
     check_seconds: float = 0.0
+    note: str = ""
 
     def describe(self) -> str:
         """One line for a summary."""
@@ -60,21 +60,20 @@ class Path:
 
 
 def choose_path(
-    field: TwoStreamField,
-    subject: Subject,
+    head: Head,
     cameras: Sequence[Camera],
     gazes: Sequence[Gaze],
     speed: str = "auto",
     least_psnr: float = LEAST_PSNR,
-) -> Path:
-    """How to draw a flight of a subject's head.
+) -> RenderPath:
+    """How to draw a flight around a head.
 
     A bake is compared with the guided path on `SAMPLED` frames spread over the flight. Where it is not
-    the same picture, or cannot be made, the guided path is taken and a warning says so.
+    the same picture, or cannot be made, another path is taken and `RenderPath.note` says why.
 
     Args:
-        field, subject: As for `TwoStreamField.bind`.
-        cameras, gazes: One a frame.
+        head: Who is drawn.
+        cameras, gazes: One per frame.
         speed: One of `SPEEDS`.
         least_psnr: Agreement (dB) below which a bake is not used.
 
@@ -83,42 +82,32 @@ def choose_path(
     """
     if speed not in SPEEDS:
         raise UserError(f"unknown speed {speed!r}; choose {', '.join(SPEEDS)}")
-
-    def bind(gaze: Gaze, **options: str) -> BoundField:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message=".*beyond the trained range")
-            return field.bind(subject, gaze, **options)
-
-    own = "guided" if getattr(field.config, "sampler", None) == "guided" else "exact"
+    own = "guided" if head.field.config.sampler == "guided" else "exact"
     if speed == "exact":
-        return Path("exact", lambda gaze: bind(gaze, sampler="slabs"))
+        return RenderPath("exact", head.with_sampler("slabs"))
     if speed == "guided":
-        return Path("guided", lambda gaze: bind(gaze, sampler="guided"))
+        return RenderPath("guided", head.with_sampler("guided"))
     if speed == "auto" and (own == "exact" or len(cameras) < LEAST_FRAMES):
-        return Path(own, bind)
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=".*beyond the trained range")
-        bound = field.bind(subject, bake_gaze(gazes), sampler="guided")
-        try:
-            head = bake(bound)
-        except UserError as error:
-            warnings.warn(f"not baked: {error}; drawn by the {own} path", stacklevel=2)
-            return Path(own, bind)
+        return RenderPath(own, head)
+    guided = head.with_sampler("guided")
+    try:
+        baked = bake(guided, bake_gaze(gazes))
+    except UserError as error:
+        return RenderPath(own, head, note=f"not baked: {error}; drawn by the {own} path")
     started = time.perf_counter()
     worst = 120.0
     for number in np.linspace(0, len(cameras) - 1, SAMPLED).round().astype(int):
-        turned = head.at(gazes[number])
+        turned = baked.at(gazes[number])
         ours, theirs = (view.render(cameras[number]).image for view in (turned, turned.bound))
         worst = min(worst, psnr(ours, theirs))
     seconds = time.perf_counter() - started
     if worst < least_psnr:
-        warnings.warn(
+        note = (
             f"the baked picture is only {worst:.1f} dB from the guided one, below {least_psnr:g} dB; "
-            "drawn by the guided path",
-            stacklevel=2,
+            "drawn by the guided path"
         )
-        return Path("guided", lambda gaze: bind(gaze, sampler="guided"), None, worst, seconds)
-    return Path("baked", head.at, head.report, worst, seconds)
+        return RenderPath("guided", guided, None, worst, seconds, note)
+    return RenderPath("baked", baked, baked.report, worst, seconds)
 
 
 def bake_gaze(gazes: Sequence[Gaze]) -> Gaze:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -12,14 +13,27 @@ import torch.nn.functional as F
 
 from gazenerf.field.config import FieldConfig
 from gazenerf.geometry import Camera, camera_rays
+from gazenerf.heads.interface import GeometryView
 
-Composited = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
-"""Features (R, C) over the background, opacity (R,) and expected distance (R,), NaN without a surface."""
+
+class RayFeatures(NamedTuple):
+    """What is seen along rays.
+
+    Attributes:
+        features: (R, C) over the background.
+        opacity: (R,).
+        distance: (R,) expected, world units; NaN without a surface.
+    """
+
+    features: torch.Tensor
+    opacity: torch.Tensor
+    distance: torch.Tensor
+
 
 Window = tuple[torch.Tensor, torch.Tensor]
 """Nearest and farthest distance (R,) at which a ray's surface is looked for."""
 
-Composite = Callable[[torch.Tensor, torch.Tensor, torch.Tensor, Window], Composited]
+Composite = Callable[[torch.Tensor, torch.Tensor, torch.Tensor, Window], RayFeatures]
 """Rays (R, 3), (R, 3), background features (R, C) and where their surface may be, to what is seen along them."""
 
 BESIDE = (0.15, 0.35)
@@ -46,13 +60,13 @@ class FeatureGrid:
     rays_d: torch.Tensor
 
     @classmethod
-    def of(cls, camera: Camera, config: FieldConfig) -> FeatureGrid:
+    def of(cls, camera: Camera, config: FieldConfig, device: torch.device | str = "cpu") -> FeatureGrid:
         """The grid behind a picture of the camera's size; at least 2 x 2, rounded up to whole feature pixels."""
         k = config.upsampling
         columns, rows = max(2, -(-camera.width // k)), max(2, -(-camera.height // k))
         small = camera.resized(columns, rows)
         grid = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1) + config.ray_offset
-        return cls(small, grid, *camera_rays(small, grid))
+        return cls(small, grid, *camera_rays(small, grid, device))
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -61,11 +75,11 @@ class FeatureGrid:
 
     def outline(self, opacity: torch.Tensor) -> np.ndarray:
         """(E,) indices of the feature pixels on an outline of opacity (h * w,)."""
-        solid = (opacity >= 0.5).reshape(self.shape).numpy().astype(np.uint8)
+        solid = (opacity >= 0.5).reshape(self.shape).cpu().numpy().astype(np.uint8)
         cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
         return np.flatnonzero(cv2.dilate(solid, cross) != cv2.erode(solid, cross))
 
-    def smooth_outline(self, composite: Composite, background: torch.Tensor, found: Composited) -> Composited:
+    def smooth_outline(self, composite: Composite, background: torch.Tensor, found: RayFeatures) -> RayFeatures:
         """Features and opacity along the outline averaged over four rays a feature pixel, in place.
 
         One ray decides for `upsampling` squared picture pixels whether they show the head, which
@@ -75,15 +89,21 @@ class FeatureGrid:
         outline = self.outline(opacity)
         if not len(outline):
             return found
-        rays_o, rays_d = camera_rays(self.camera, self.grid.reshape(-1, 2)[outline, None] + INSIDE)
-        index = torch.from_numpy(outline)
+        device = background.device
+        rays_o, rays_d = camera_rays(self.camera, self.grid.reshape(-1, 2)[outline, None] + INSIDE, device)
+        index = torch.from_numpy(outline).to(device)
         window = self._beside(distance)[:, index].repeat_interleave(4, dim=1)
         fine, alpha, _ = composite(
             rays_o, rays_d, background[index].repeat_interleave(4, dim=0), (window[0], window[1])
         )
         features[index] = fine.reshape(len(outline), 4, -1).mean(1)
         opacity[index] = alpha.reshape(-1, 4).mean(1)
-        return features, opacity, distance
+        return found
+
+    def geometry(self, seen: RayFeatures) -> GeometryView:
+        """Opacity and distance of every feature pixel."""
+        opacity, distance = (values.reshape(self.shape).cpu().numpy() for values in (seen.opacity, seen.distance))
+        return GeometryView(self.camera, opacity, distance)
 
     def _beside(self, distance: torch.Tensor) -> torch.Tensor:
         """(2, h * w) window around the distances of each feature pixel and its eight neighbours."""
@@ -95,7 +115,7 @@ class FeatureGrid:
 
 def to_picture(picture: torch.Tensor, camera: Camera) -> np.ndarray:
     """A picture (3, H', W') of at least the camera's size as (H, W, 3) float32 in [0, 1]."""
-    image = np.ascontiguousarray(picture.permute(1, 2, 0).float().numpy())
+    image = np.ascontiguousarray(picture.permute(1, 2, 0).float().cpu().numpy())
     if image.shape[:2] != (camera.height, camera.width):
         image = cv2.resize(image, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
     return np.clip(image, 0.0, 1.0)

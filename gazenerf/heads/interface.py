@@ -116,6 +116,7 @@ class BoundField(Protocol):
         ...
 
 
+@runtime_checkable
 class HeadField(Protocol):
     """What a field says of one person, at every gaze; safe to use from several threads.
 

@@ -1,4 +1,4 @@
-"""Density of a bound head on a lattice around its surface, and rays that find that surface without the network.
+"""Density of a bound head on a lattice around its surface, where rays find that surface without the network.
 
 Before its activation the density is close to linear over half an occupancy cell, so what is
 interpolated is the inverse softplus of the density, not the density.
@@ -15,7 +15,8 @@ from scipy import ndimage
 
 from gazenerf.field.sampling import box_interval
 from gazenerf.field.streams import SOFTPLUS_GAIN
-from gazenerf.heads.occupancy import Occupancy, refine
+from gazenerf.heads.march import first_surface
+from gazenerf.heads.occupancy import Occupancy
 
 OPAQUE = 8.0
 """Density per world unit from which a cell hides what is behind it; what lies outside such cells is seen."""
@@ -125,51 +126,56 @@ class DensityLattice:
         raw = F.grid_sample(self.raw, place, align_corners=True, padding_mode="border")
         return SOFTPLUS_GAIN * F.softplus(raw).reshape(points.shape[:-1])
 
-    def _advance(
-        self, t: torch.Tensor, rays_o: torch.Tensor, rays_d: torch.Tensor, far: torch.Tensor, rounds: int
-    ) -> torch.Tensor:
-        """Move t (R,) along rays over what is known to be empty."""
-        size = self.skip.shape[0]
-        scale = size / self.extent
-        start, slope = (rays_o - self.box[0]) * scale, rays_d * scale
-        skip = self.skip.reshape(-1)
+    def first_surface(self, rays_o: torch.Tensor, rays_d: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """See `gazenerf.heads.march.first_surface`; the network is not queried."""
+        return first_surface(self.density, LeapingSteps(self, rays_o, rays_d), rays_o, rays_d)
+
+
+class LeapingSteps:
+    """Even samples through a lattice's box that leap over empty space; see `gazenerf.heads.march.Steps`.
+
+    Args:
+        lattice: Of the density that is looked for.
+        rays_o, rays_d: (R, 3).
+        count: Samples through the box.
+        size: Samples per ray and block.
+    """
+
+    def __init__(
+        self, lattice: DensityLattice, rays_o: torch.Tensor, rays_d: torch.Tensor, count: int = 96, size: int = 6
+    ) -> None:
+        self._near, self._far = box_interval(rays_o, rays_d, lattice.box)
+        self.width = ((self._far - self._near) / count).clamp(min=1e-9)
+        cells = lattice.skip.shape[0]
+        scale = cells / lattice.extent
+        self._start, self._slope = (rays_o - lattice.box[0]) * scale, rays_d * scale
+        self._skip, self._cells, self._count = lattice.skip.reshape(-1), cells, count
+        self._within = torch.arange(size, device=rays_o.device) + 0.5
+        everything = torch.arange(len(rays_o), device=rays_o.device)
+        self._number = ((self._leap(everything, self._near, 12) - self._near) / self.width).floor()
+
+    def _leap(self, rays: torch.Tensor, t: torch.Tensor, rounds: int) -> torch.Tensor:
+        """Distances (A,) moved along rays (A,) over what is known to be empty."""
+        start, slope, far, size = self._start[rays], self._slope[rays], self._far[rays], self._cells
         for _ in range(rounds):
             cell = (start + t[:, None] * slope).int().clamp_(0, size - 1)
-            t = torch.minimum(t + skip.index_select(0, (cell[:, 0] * size + cell[:, 1]) * size + cell[:, 2]), far)
+            index = (cell[:, 0] * size + cell[:, 1]) * size + cell[:, 2]
+            t = torch.minimum(t + self._skip.index_select(0, index), far)
         return t
 
-    def first_surface(
-        self, rays_o: torch.Tensor, rays_d: torch.Tensor, steps: int = 96, block: int = 6, least: float = 0.1
-    ) -> tuple[torch.Tensor, torch.Tensor]:
-        """See `gazenerf.heads.occupancy.first_surface`: the same steps, from the lattice, over empty space at once."""
-        near, far = box_interval(rays_o, rays_d, self.box)
-        step = ((far - near) / steps).clamp(min=1e-9)
-        count = len(rays_o)
-        distance = torch.full((count,), torch.nan)
-        grazed, most, passed = torch.zeros(count), torch.zeros(count), torch.ones(count)
-        t = self._advance(near, rays_o, rays_d, far, 12)
-        number = ((t - near) / step).floor()
-        alive = (number < steps).nonzero()[:, 0]
-        within = torch.arange(block) + 0.5
-        while len(alive):
-            o, d, width = rays_o[alive], rays_d[alive], step[alive]
-            here = near[alive, None] + (number[alive, None] + within) * width[:, None]
-            alpha = 1.0 - torch.exp(-self.density(o[:, None] + here[..., None] * d[:, None]) * width[:, None])
-            before = passed[alive, None]
-            left = before * torch.cumprod(1.0 - alpha * (here < far[alive, None]), dim=1)
-            crossed = left < 0.5
-            hit = crossed[:, -1]
-            distance[alive[hit]] = here[hit].gather(1, crossed[hit].float().argmax(1)[:, None])[:, 0]
-            lost, where = (torch.cat([before, left[:, :-1]], dim=1) - left).max(1)
-            more = lost > most[alive]
-            most[alive[more]] = lost[more]
-            grazed[alive[more]] = here[more].gather(1, where[more, None])[:, 0]
-            passed[alive] = left[:, -1]
-            t = self._advance(near[alive] + (number[alive] + block) * width, o, d, far[alive], 3)
-            number[alive] = torch.maximum(number[alive] + block, ((t - near[alive]) / width).floor())
-            alive = alive[~hit & (number[alive] < steps)]
-        distance = torch.where(distance.isnan() & (passed < 1.0 - least), grazed, distance)
-        found = ~distance.isnan()
-        rays = found.nonzero()[:, 0]
-        distance[rays] = refine(self.density, rays_o[rays], rays_d[rays], distance[rays], step[rays])[0]
-        return distance, found
+    def first(self) -> torch.Tensor:
+        """Rays that do not leap through the whole box."""
+        return (self._number < self._count).nonzero()[:, 0]
+
+    def block(self, rays: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """The next samples, one after another."""
+        t = self._near[rays, None] + (self._number[rays, None] + self._within) * self.width[rays, None]
+        return t, t < self._far[rays, None]
+
+    def ahead(self, rays: torch.Tensor, hit: torch.Tensor) -> torch.Tensor:
+        """Rays without a surface that are not through the box, after a leap."""
+        rays = rays[~hit]
+        near, width, after = self._near[rays], self.width[rays], self._number[rays] + len(self._within)
+        t = self._leap(rays, near + after * width, 3)
+        self._number[rays] = torch.maximum(after, ((t - near) / width).floor())
+        return rays[self._number[rays] < self._count]

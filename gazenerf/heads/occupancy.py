@@ -1,17 +1,15 @@
-"""Where a bound density can be: a boolean grid, and rays walked through it front to back."""
+"""Where a head's density can be: a boolean grid, and the samples of rays that lie in it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F
 
 from gazenerf.field.sampling import box_interval
-
-Density = Callable[[torch.Tensor], torch.Tensor]
-"""Points (N, 3) to density (N,)."""
+from gazenerf.heads.march import Density
 
 
 @dataclass(frozen=True)
@@ -41,15 +39,15 @@ class Occupancy:
         """Sample a density at the cell centres and grow what exceeds the threshold (per world unit) by `margin` cells.
 
         The default margin, about 9 mm for the bundled box, covers how far lids move with the gaze.
-        `within` (2, 3) is a box outside which the density is known to be 0 and not asked for.
+        `within` (2, 3) is a box outside which the density is known to be 0 and not queried.
         """
         step = (box[1] - box[0]) / size
-        axes = [box[0, i] + step[i] * (torch.arange(size) + 0.5) for i in range(3)]
+        axes = [box[0, i] + step[i] * (torch.arange(size, device=box.device) + 0.5) for i in range(3)]
         low, high = [0] * 3, [size] * 3
         if within is not None:
             low = [int((axes[i] < within[0, i]).sum()) for i in range(3)]
             high = [int((axes[i] <= within[1, i]).sum()) for i in range(3)]
-        values = torch.zeros(size, size, size)
+        values = torch.zeros(size, size, size, device=box.device)
         y, z = (axes[i][low[i] : high[i]] for i in (1, 2))
         for first in range(low[0], high[0], 8):
             x = axes[0][first : min(first + 8, high[0])]
@@ -89,103 +87,47 @@ class Occupancy:
         return self.cells[index[..., 0], index[..., 1], index[..., 2]] & inside
 
 
-def first_surface(
-    density: Density,
-    occupancy: Occupancy,
-    rays_o: torch.Tensor,
-    rays_d: torch.Tensor,
-    steps: int = 96,
-    block: int = 4,
-    refinements: int = 1,
-    least: float = 0.1,
-    window: tuple[torch.Tensor, torch.Tensor] | None = None,
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Distance at which half the light of each ray is gone, or where it loses most if it never loses half.
-
-    The second kind are the rays that graze an outline; with them a picture's edge is not a staircase.
-
-    Rays are stepped evenly through the box; only samples in occupied cells are asked for their
-    density, a block at a time, and a ray stops once it is opaque. The interval found is then
-    sampled more finely.
+class OccupiedSteps:
+    """Even samples through an occupancy's box, those in occupied cells only; see `gazenerf.heads.march.Steps`.
 
     Args:
-        density: The bound density.
-        occupancy: Of that density.
+        occupancy: Of the density that is looked for.
         rays_o, rays_d: (R, 3).
-        steps: Even steps through the box.
-        block: Samples a ray and round.
-        refinements: How often the interval is divided by eight.
-        least: A ray that loses a smaller share of its light hits nothing.
+        count: Samples through the box.
+        size: Samples per ray and block.
         window: Nearest and farthest distance (R,) that are looked at; the whole box when None.
-
-    Returns:
-        distance (R,), meaningless where `hit` is False, and hit (R,) bool.
     """
-    count = len(rays_o)
-    near, far = box_interval(rays_o, rays_d, occupancy.box)
-    step = ((far - near) / steps).clamp(min=1e-9)
-    t = near[:, None] + (torch.arange(steps) + 0.5) * step[:, None]
-    occupied = occupancy.at(rays_o[:, None] + t[..., None] * rays_d[:, None])
-    if window is not None:
-        occupied &= (t >= window[0][:, None]) & (t <= window[1][:, None])
-    order = torch.argsort((~occupied).to(torch.uint8), dim=1, stable=True)
-    numbers = occupied.sum(1)
-    t = t.gather(1, order)
-    passed = torch.ones(count)
-    distance = torch.full((count,), torch.nan)
-    grazed, most = torch.zeros(count), torch.zeros(count)
-    for start in range(0, int(numbers.max()) if count else 0, block):
-        alive = ((numbers > start) & distance.isnan()).nonzero()[:, 0]
-        if not len(alive):
-            break
-        here = t[alive, start : start + block]
-        used = (torch.arange(start, start + here.shape[1]) < numbers[alive, None]).float()
-        points = rays_o[alive, None] + here[..., None] * rays_d[alive, None]
-        alpha = 1.0 - torch.exp(-density(points.reshape(-1, 3)).reshape(here.shape) * step[alive, None])
-        left = passed[alive, None] * torch.cumprod(1.0 - alpha * used, dim=1)
-        crossed = left < 0.5
-        which = crossed.float().argmax(1)
-        hit = crossed.any(1)
-        index = alive[hit]
-        distance[index] = here[hit, which[hit]]
-        lost, where = (torch.cat([passed[alive, None], left[:, :-1]], dim=1) - left).max(1)
-        more = lost > most[alive]
-        most[alive[more]] = lost[more]
-        grazed[alive[more]] = here.gather(1, where[:, None])[more, 0]
-        passed[alive] = left[:, -1]
-    distance = torch.where(distance.isnan() & (passed < 1.0 - least), grazed, distance)
-    found = ~distance.isnan()
-    rays = found.nonzero()[:, 0]
-    place, width = distance[rays], step[rays]
-    for _ in range(refinements):
-        place, width = refine(density, rays_o[rays], rays_d[rays], place, width)
-    distance[rays] = place
-    return distance, found
 
+    def __init__(
+        self,
+        occupancy: Occupancy,
+        rays_o: torch.Tensor,
+        rays_d: torch.Tensor,
+        count: int = 96,
+        size: int = 4,
+        window: tuple[torch.Tensor, torch.Tensor] | None = None,
+    ) -> None:
+        near, far = box_interval(rays_o, rays_d, occupancy.box)
+        self.width = ((far - near) / count).clamp(min=1e-9)
+        t = near[:, None] + (torch.arange(count, device=near.device) + 0.5) * self.width[:, None]
+        occupied = occupancy.at(rays_o[:, None] + t[..., None] * rays_d[:, None])
+        if window is not None:
+            occupied &= (t >= window[0][:, None]) & (t <= window[1][:, None])
+        order = torch.argsort((~occupied).to(torch.uint8), dim=1, stable=True)
+        self._numbers, self._t = occupied.sum(1), t.gather(1, order)
+        self._start, self._size = 0, size
 
-def refine(
-    density: Density,
-    rays_o: torch.Tensor,
-    rays_d: torch.Tensor,
-    distance: torch.Tensor,
-    width: torch.Tensor,
-    parts: int = 8,
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Where half the light is gone within a step of distances (R,), or where the density is greatest.
+    def first(self) -> torch.Tensor:
+        """Rays that meet an occupied cell."""
+        return (self._numbers > 0).nonzero()[:, 0]
 
-    Args:
-        density: The bound density.
-        rays_o, rays_d: (R, 3).
-        distance, width: (R,) a sample where it happened, and the step between samples.
-        parts: Samples over two steps.
+    def block(self, rays: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """The next samples in occupied cells."""
+        t = self._t[rays, self._start : self._start + self._size]
+        place = torch.arange(self._start, self._start + t.shape[1], device=t.device)
+        return t, place < self._numbers[rays, None]
 
-    Returns:
-        distance (R,) and the new step (R,).
-    """
-    fine = width * 2 / parts
-    here = (distance - 1.5 * width)[:, None] + (torch.arange(parts) + 0.5) * fine[:, None]
-    points = rays_o[:, None] + here[..., None] * rays_d[:, None]
-    alpha = 1.0 - torch.exp(-density(points.reshape(-1, 3)).reshape(here.shape) * fine[:, None])
-    crossed = torch.cumprod(1.0 - alpha, dim=1) < 0.5
-    which = torch.where(crossed.any(1), crossed.float().argmax(1), alpha.argmax(1))
-    return here.gather(1, which[:, None])[:, 0], fine
+    def ahead(self, rays: torch.Tensor, hit: torch.Tensor) -> torch.Tensor:
+        """Rays without a surface that have occupied samples left."""
+        self._start += self._size
+        return rays[~hit & (self._numbers[rays] > self._start)]

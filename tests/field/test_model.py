@@ -7,7 +7,6 @@ import torch
 from gazenerf.field.config import FieldConfig, ablations
 from gazenerf.field.model import TwoStreamField
 from gazenerf.geometry import Camera
-
 from tests.field_doubles import make_field, tiny_config
 
 NAMES = ("vanilla", "vanilla+rotation", "two-stream", "two-stream+rotation")
@@ -18,7 +17,7 @@ def reference(field: TwoStreamField, label: torch.Tensor) -> dict[str, torch.Ten
     generator = torch.Generator().manual_seed(5)
     camera = Camera.neutral(config.feature_size)
     pose = torch.from_numpy(camera.world_from_camera.astype(np.float32))[None].expand(len(label), -1, -1)
-    return field.render_reference(
+    return field.published_forward(
         torch.randn(len(label), config.identity + config.expression, generator=generator),
         torch.randn(len(label), config.texture + config.illumination, generator=generator),
         label,

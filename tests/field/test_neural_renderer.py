@@ -4,7 +4,6 @@ import pytest
 import torch
 
 from gazenerf.field.neural_renderer import NeuralRenderer, blur
-
 from tests.field_doubles import tiny_config
 
 

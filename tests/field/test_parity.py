@@ -12,9 +12,8 @@ from gazenerf.checkpoints import field_from_weights
 from gazenerf.field.model import TwoStreamField
 from gazenerf.field.published import config_from_weights, native_weights
 from gazenerf.geometry import Camera, Gaze
-from gazenerf.heads.bound import BoundTwoStream
+from gazenerf.heads.head import Head
 from gazenerf.subjects import Codes, Subject
-
 from tests.field_doubles import parity_file
 
 TOLERANCE = 1e-4
@@ -44,7 +43,7 @@ def load(name: str) -> tuple[TwoStreamField, dict[str, torch.Tensor], dict[str, 
 def test_slow_path_gives_published_outputs(name: str) -> None:
     field, inputs, outputs = load(name)
     with torch.no_grad():
-        found = field.render_reference(
+        found = field.published_forward(
             inputs["shape_code"],
             inputs["appearance_code"],
             inputs.get("gaze", torch.zeros(len(inputs["shape_code"]), 2)),
@@ -78,7 +77,7 @@ def test_fast_path_gives_published_pictures(name: str) -> None:
         camera = Camera(
             intrinsics[0, 0], intrinsics[1, 1], intrinsics[0, 2], intrinsics[1, 2], size, size, pose
         ).resized(config.image_size)
-        bound = BoundTwoStream(field, Subject("vector", codes), Gaze(float(label[0]), float(label[1])))
+        bound = Head(field, Subject("vector", codes)).at(Gaze(float(label[0]), float(label[1])))
         parts = ("head", "face", "eyes") if "image_face" in outputs else ("head",)
         images = bound.render(camera, parts).images
         for part in parts:

@@ -5,7 +5,6 @@ import torch
 
 from gazenerf.field.sampling import box_interval, interval_samples, ray_samples, shell_samples, slab_samples
 from gazenerf.geometry import Camera, camera_rays
-
 from tests.field_doubles import tiny_config
 
 BOX = torch.tensor([[-1.5, -1.7, -1.5], [1.5, 1.5, 1.5]])

@@ -8,7 +8,6 @@ import torch.nn.functional as F
 
 from gazenerf.field.encoding import positional_encoding
 from gazenerf.field.streams import DENSITY_LEAK, Stream
-
 from tests.field_doubles import tiny_config
 
 

@@ -11,11 +11,11 @@ import torch
 from gazenerf.errors import UserError
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.heads.baked import FeatureLattice, bake
-from gazenerf.heads.interface import BoundField
+from gazenerf.heads.head import Head
+from gazenerf.heads.interface import BoundField, HeadField
 from gazenerf.heads.lattice import Band
 from gazenerf.heads.occupancy import Occupancy
 from gazenerf.image_metrics import psnr
-
 from tests.field_doubles import make_field, make_subject, soft_field, tiny_config
 
 TURNED = Gaze.from_degrees(15, -20)
@@ -24,14 +24,13 @@ TURNED = Gaze.from_degrees(15, -20)
 @pytest.mark.parametrize("yaw", [0.0, 0.6, 2.0])
 def test_baked_pictures_are_the_guided_ones(yaw: float) -> None:
     field = soft_field()
-    bound = field.bind(make_subject(field.config), Gaze())
-    head = bake(bound)
-    assert (
-        isinstance(head, BoundField) and head.report.vertices > 1000 and head.report.nbytes > 4 * head.report.vertices
-    )
+    guided = Head(field, make_subject(field.config))
+    head = bake(guided, Gaze())
+    assert isinstance(head, HeadField) and isinstance(head.at(Gaze()), BoundField)
+    assert head.report.vertices > 1000 and head.report.nbytes > 4 * head.report.vertices
     camera = Camera.orbit(yaw=yaw, size=64)
     for gaze in (Gaze(), TURNED):
-        ours, theirs = head.at(gaze).render(camera), bound.at(gaze).render(camera)
+        ours, theirs = head.at(gaze).render(camera), guided.at(gaze).render(camera)
         assert theirs.image.std() > 0.02
         assert psnr(ours.image, theirs.image) > 40
         small, large = ours.geometry["head"], theirs.geometry["head"]
@@ -41,8 +40,8 @@ def test_baked_pictures_are_the_guided_ones(yaw: float) -> None:
 
 def test_turning_the_eyes_asks_only_around_the_eyes(monkeypatch: pytest.MonkeyPatch) -> None:
     field = soft_field()
-    bound = field.bind(make_subject(field.config), Gaze())
-    head = bake(bound)
+    exact = Head(field, make_subject(field.config))
+    head = bake(exact, Gaze())
     asked: list[int] = []
     query = field.query
 
@@ -52,34 +51,35 @@ def test_turning_the_eyes_asks_only_around_the_eyes(monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr(field, "query", count)
     camera = Camera.neutral(64)
-    head.render(camera)
+    head.at(Gaze()).render(camera)
     held = sum(asked)
     head.at(TURNED).render(camera)
     turned = sum(asked) - held
-    bound.at(TURNED).render(camera)
+    exact.at(TURNED).render(camera)
     guided = sum(asked) - held - turned
     assert held == 0 and 0 < turned < 0.5 * guided
 
 
 def test_a_face_that_moves_with_the_gaze_shows_in_the_measurement() -> None:
     field = soft_field(drift=0.3)
-    bound = field.bind(make_subject(field.config), Gaze())
-    head, camera = bake(bound), Camera.neutral(64)
-    still = psnr(head.render(camera).image, bound.render(camera).image)
-    moved = psnr(head.at(TURNED).render(camera).image, bound.at(TURNED).render(camera).image)
+    exact = Head(field, make_subject(field.config))
+    head, camera = bake(exact, Gaze()), Camera.neutral(64)
+    still = psnr(head.at(Gaze()).render(camera).image, exact.at(Gaze()).render(camera).image)
+    moved = psnr(head.at(TURNED).render(camera).image, exact.at(TURNED).render(camera).image)
     assert moved < still - 6
 
 
 def test_other_parts_and_densities_are_the_fields_own() -> None:
     field = soft_field()
-    bound = field.bind(make_subject(field.config), Gaze())
-    head, camera = bake(bound), Camera.orbit(yaw=0.3, size=32)
-    view = head.render(camera, ("face", "head", "eyes"))
+    exact = Head(field, make_subject(field.config))
+    head, camera = bake(exact, Gaze()), Camera.orbit(yaw=0.3, size=32)
+    baked, bound = head.at(Gaze()), exact.at(Gaze())
+    view = baked.render(camera, ("face", "head", "eyes"))
     assert list(view.images) == ["face", "head", "eyes"]
     np.testing.assert_array_equal(view.images["eyes"], bound.render(camera, ("eyes",)).images["eyes"])
     points = torch.randn(50, 3)
-    assert torch.equal(head.density(points, "face"), bound.density(points, "face"))
-    np.testing.assert_array_equal(head.render_geometry(camera).depth, bound.render_geometry(camera).depth)
+    assert torch.equal(baked.density(points, "face"), bound.density(points, "face"))
+    np.testing.assert_array_equal(baked.render_geometry(camera).depth, bound.render_geometry(camera).depth)
 
 
 def test_blending_is_the_slow_sum_over_corners() -> None:
@@ -107,20 +107,20 @@ def test_blending_is_the_slow_sum_over_corners() -> None:
 def test_what_has_no_surface_is_not_baked() -> None:
     config = tiny_config()
     with pytest.warns(UserWarning, match="sampled evenly"), pytest.raises(UserError, match="everywhere"):
-        bake(make_field(config).bind(make_subject(config), Gaze()))
+        bake(Head(make_field(config), make_subject(config)), Gaze())
     for changes in ({"merge": "max"}, {"streams": "one"}, {"sampler": "slabs"}):
         config = tiny_config(**changes)
         with pytest.raises(UserError, match="can be baked"):
-            bake(make_field(config).bind(make_subject(config), Gaze()))
+            bake(Head(make_field(config), make_subject(config)), Gaze())
 
 
 def test_random_weights_are_drawn_evenly_and_loudly() -> None:
     config = tiny_config()
     field, subject = make_field(config), make_subject(config)
     camera = Camera.neutral(config.image_size)
-    exact = field.bind(subject, Gaze(), sampler="slabs").render(camera).image
+    exact = Head(field, subject, sampler="slabs").at(Gaze()).render(camera).image
     with pytest.warns(UserWarning, match="sampled evenly"):
-        guided = field.bind(subject, Gaze(), sampler="guided").render(camera).image
+        guided = Head(field, subject, sampler="guided").at(Gaze()).render(camera).image
     assert np.abs(guided - exact).max() < 1e-4
 
 
@@ -132,6 +132,6 @@ def test_haze_inside_a_box_that_is_mostly_empty_is_drawn_evenly_and_loudly() -> 
         stream.density_of = lambda inside: 4.0 * (inside > 0).float()  # type: ignore[assignment]
     subject, camera = make_subject(config), Camera.neutral(32)
     with pytest.warns(UserWarning, match="holds"):
-        guided = field.bind(subject, Gaze(), sampler="guided").render(camera).image
-    exact = field.bind(subject, Gaze(), sampler="slabs").render(camera).image
+        guided = Head(field, subject, sampler="guided").at(Gaze()).render(camera).image
+    exact = Head(field, subject, sampler="slabs").at(Gaze()).render(camera).image
     assert psnr(guided, exact) > 45

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import dataclasses
-import warnings
 from typing import Any
 
 import numpy as np
@@ -12,20 +11,29 @@ from gazenerf.errors import UserError
 from gazenerf.field.config import FieldConfig
 from gazenerf.field.model import TwoStreamField
 from gazenerf.geometry import Camera, Gaze
-from gazenerf.heads.bound import BoundTwoStream
+from gazenerf.heads.bound import BoundHead
+from gazenerf.heads.head import Head
 from gazenerf.heads.interface import BoundField, GeometryView, Part
 from gazenerf.heads.occupancy import Occupancy
 from gazenerf.image_metrics import psnr
 from gazenerf.subjects import Codes
-
-from tests.field_doubles import EYE_CENTRE, EYE_RADIUS, FACE_RADIUS, BallStream, make_field, make_subject, soft_field, tiny_config
+from tests.field_doubles import (
+    EYE_CENTRE,
+    EYE_RADIUS,
+    FACE_RADIUS,
+    BallStream,
+    make_field,
+    make_subject,
+    soft_field,
+    tiny_config,
+)
 
 GAZE = Gaze.from_degrees(10, -15)
 
 
-def bind(gaze: Gaze = GAZE, **changes: Any) -> BoundTwoStream:
+def bind(gaze: Gaze = GAZE, **changes: Any) -> BoundHead:
     config = tiny_config(**({"sampler": "slabs"} | changes))
-    return make_field(config).bind(make_subject(config), gaze)
+    return Head(make_field(config), make_subject(config)).at(gaze)
 
 
 @pytest.mark.parametrize(
@@ -81,7 +89,7 @@ def test_gaze_moves_the_eyes_picture() -> None:
     config = tiny_config(sampler="slabs", gaze_input=False, merge="max")
     field, subject = make_field(config), make_subject(config)
     camera = Camera.neutral(config.image_size)
-    views = [field.bind(subject, gaze).render(camera, ("face", "eyes")) for gaze in (Gaze(), GAZE)]
+    views = [Head(field, subject).at(gaze).render(camera, ("face", "eyes")) for gaze in (Gaze(), GAZE)]
     assert np.abs(views[0].images["eyes"] - views[1].images["eyes"]).max() > 1e-3
     np.testing.assert_array_equal(views[0].images["face"], views[1].images["face"])
 
@@ -113,7 +121,7 @@ def ball_distance(camera: Camera, centre: tuple[float, ...], radius: float) -> n
 def test_known_geometry_from_every_side(balls: TwoStreamField, yaw: float, sampler: str) -> None:
     if sampler == "slabs":
         balls.config = dataclasses.replace(balls.config, samples=300)
-    bound = balls.bind(make_subject(balls.config), Gaze(), sampler=sampler)
+    bound = Head(balls, make_subject(balls.config), sampler=sampler).at(Gaze())
     camera = Camera.orbit(yaw=yaw, size=24)
     face = ball_distance(camera, (0.0, 0.0, 0.0), FACE_RADIUS)
     eyes = ball_distance(camera, EYE_CENTRE, EYE_RADIUS)
@@ -134,7 +142,7 @@ def test_normals_point_outward(balls: TwoStreamField) -> None:
     face = balls.stream("face")
     assert isinstance(face, BallStream)
     face.softness = 0.02  # wider than the differences that normals are taken over
-    bound = balls.bind(make_subject(balls.config), Gaze())
+    bound = Head(balls, make_subject(balls.config)).at(Gaze())
     camera = Camera.orbit(yaw=-0.8, size=24)
     view = bound.render_geometry(camera, "face", normals=True)
     rays_o, rays_d = camera.rays()
@@ -147,7 +155,7 @@ def test_normals_point_outward(balls: TwoStreamField) -> None:
 
 
 def test_guided_pictures_see_the_same_surface(balls: TwoStreamField) -> None:
-    bound = balls.bind(make_subject(balls.config), Gaze())
+    bound = Head(balls, make_subject(balls.config)).at(Gaze())
     camera = Camera.orbit(yaw=0.2, size=32)
     view = bound.render(camera)
     small = view.geometry["head"]
@@ -159,31 +167,9 @@ def test_guided_pictures_see_the_same_surface(balls: TwoStreamField) -> None:
     assert np.median(np.abs(small.depth - expected)[both]) < 0.06
 
 
-def test_occupancy_is_found_once_a_subject(balls: TwoStreamField) -> None:
-    subject = make_subject(balls.config)
-    camera = Camera.neutral(8)
-    balls.bind(subject, Gaze()).render(camera)
-    known = next(iter(balls.occupancies.values()))
-    balls.bind(subject, GAZE).render(camera)
-    assert len(balls.occupancies) == 1 and next(iter(balls.occupancies.values())) is known
-    for seed in range(2, 7):
-        balls.bind(make_subject(balls.config, seed), Gaze()).render(camera)
-    assert len(balls.occupancies) <= 4
-
-
 def test_slow_path_refuses_views_it_cannot_have() -> None:
     with pytest.raises(UserError, match="in front"):
         bind().render_slow(Camera.orbit(yaw=2.0, size=32))
-
-
-def test_gaze_beyond_training_warns_with_the_range() -> None:
-    config = tiny_config(trained_gaze_range=[20, 30])
-    field, subject = make_field(config), make_subject(config)
-    with pytest.warns(UserWarning, match=r"\+-20.*\+-30"):
-        field.bind(subject, Gaze.from_degrees(0, 40))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        field.bind(subject, Gaze.from_degrees(-20, 30))
 
 
 def test_wrong_requests_are_one_line() -> None:
@@ -191,7 +177,7 @@ def test_wrong_requests_are_one_line() -> None:
     subject = make_subject(config)
     codes = Codes(subject.codes.identity[:-1], subject.codes.expression, subject.codes.texture, np.zeros(27))
     with pytest.raises(UserError, match="identity, expression"):
-        make_field(config).bind(dataclasses.replace(subject, codes=codes), Gaze())
+        Head(make_field(config), dataclasses.replace(subject, codes=codes)).at(Gaze())
     with pytest.raises(UserError, match="NaN"):
         bind(Gaze(float("nan"), 0.0))
     with pytest.raises(UserError, match="one stream"):
@@ -204,8 +190,8 @@ def test_bfloat16_pictures_are_close() -> None:
     config = tiny_config(sampler="slabs")
     field, subject = make_field(config), make_subject(config)
     camera = Camera.neutral(32)
-    exact = field.bind(subject, GAZE).render(camera).image
-    rough = field.bind(subject, GAZE, bfloat16=True).render(camera).image
+    exact = Head(field, subject).at(GAZE).render(camera).image
+    rough = Head(field, subject, bfloat16=True).at(GAZE).render(camera).image
     assert 0 < np.abs(exact - rough).mean() < 0.02
 
 
@@ -216,7 +202,7 @@ def test_the_eyes_stream_is_empty_outside_its_box_on_every_path() -> None:
     field.load_state_dict(open_field.state_dict())
     subject = make_subject(config)
     inside, outside = torch.tensor([[0.1, 0.2, 0.5]]), torch.tensor([[0.5, 0.0, 0.5], [0.0, -0.31, 0.0]])
-    plain, boxed = (item.bind(subject, Gaze(0.1, 0.2), sampler="slabs") for item in (open_field, field))
+    plain, boxed = (Head(item, subject, sampler="slabs").at(Gaze(0.1, 0.2)) for item in (open_field, field))
     assert float(boxed.density(inside, "eyes")) == float(plain.density(inside, "eyes")) > 0
     assert float(plain.density(outside, "eyes").min()) > 0 and float(boxed.density(outside, "eyes").max()) == 0
     assert torch.equal(boxed.density(outside), boxed.density(outside, "face"))
@@ -229,7 +215,7 @@ def test_the_eyes_stream_is_empty_outside_its_box_on_every_path() -> None:
 
 
 def test_outlines_are_averaged_over_their_feature_pixels(balls: TwoStreamField) -> None:
-    bound = balls.bind(make_subject(balls.config), GAZE)
+    bound = Head(balls, make_subject(balls.config)).at(GAZE)
     camera = Camera.neutral(balls.config.image_size)
     opacity = bound.render(camera).geometry["head"].opacity
     partial = (opacity > 0.1) & (opacity < 0.9)
@@ -241,22 +227,22 @@ def test_outlines_are_averaged_over_their_feature_pixels(balls: TwoStreamField) 
     assert np.abs(opacity - share)[partial].mean() < 0.7 * np.abs(hard - share)[partial].mean()
 
 
-def test_the_sparse_path_is_its_sampler_asked_everywhere(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_sparse_path_is_its_sampler_queried_everywhere(monkeypatch: pytest.MonkeyPatch) -> None:
     """Occupancy, early termination and outline windows change nothing; an occupancy with holes does."""
     field = soft_field(feature_size=32, image_size=64)
-    bound = field.bind(make_subject(field.config), GAZE)
+    head = Head(field, make_subject(field.config))
     cameras = [Camera.orbit(yaw=yaw, size=64) for yaw in (0.0, 0.8)]
-    sparse = [bound.render(camera).image for camera in cameras]
-    (known,) = field.occupancies.values()
+    sparse = [head.at(GAZE).render(camera).image for camera in cameras]
+    known = head.grids
     grids = dict(known)
-    monkeypatch.setattr("gazenerf.heads.bound.SHELL_LEFT", -1.0)
-    monkeypatch.setattr("gazenerf.heads.bound.EVERYWHERE", 2.0)
+    monkeypatch.setattr("gazenerf.heads.render.SHELL_LEFT", -1.0)
+    monkeypatch.setattr("gazenerf.heads.head.EVERYWHERE", 2.0)
     monkeypatch.setattr("gazenerf.heads.feature_map.BESIDE", (9.0, 9.0))
 
     def again(cells: torch.Tensor | None) -> list[np.ndarray]:
         for name, grid in grids.items():
             known[name] = Occupancy(torch.ones_like(grid.cells) if cells is None else grid.cells & cells, *_rest(grid))
-        return [field.bind(bound.subject, GAZE).render(camera).image for camera in cameras]
+        return [head.at(GAZE).render(camera).image for camera in cameras]
 
     for ours, theirs in zip(sparse, again(None), strict=True):
         assert psnr(ours, theirs) > 45
@@ -271,7 +257,7 @@ def _rest(grid: Occupancy) -> tuple[torch.Tensor, torch.Tensor]:
 
 def test_rays_stop_when_nothing_is_left_of_their_light(monkeypatch: pytest.MonkeyPatch) -> None:
     field = soft_field(samples=64)
-    bound = field.bind(make_subject(field.config), GAZE, sampler="slabs")
+    bound = Head(field, make_subject(field.config), sampler="slabs").at(GAZE)
     asked: list[int] = []
     query = field.query
 
@@ -284,5 +270,5 @@ def test_rays_stop_when_nothing_is_left_of_their_light(monkeypatch: pytest.Monke
     fast = bound.render(camera).image
     every = field.config.feature_size**2 * 64
     assert 0.2 * every < sum(asked) < 0.95 * every
-    monkeypatch.setattr("gazenerf.heads.bound.EVEN_LEFT", -1.0)
+    monkeypatch.setattr("gazenerf.heads.render.EVEN_LEFT", -1.0)
     assert np.abs(bound.render(camera).image - fast).max() < 1e-5

@@ -5,7 +5,8 @@ import torch
 
 from gazenerf.geometry import Camera, camera_rays
 from gazenerf.heads.lattice import Band, DensityLattice, to_raw
-from gazenerf.heads.occupancy import Occupancy, first_surface
+from gazenerf.heads.march import first_surface
+from gazenerf.heads.occupancy import Occupancy, OccupiedSteps
 
 BOX = torch.tensor([[-1.5, -1.7, -1.5], [1.5, 1.5, 1.5]])
 
@@ -50,7 +51,7 @@ def test_it_finds_the_surface_that_the_density_has() -> None:
     occupancy, _, lattice = lattice_of_ball()
     for yaw in (0.0, 1.2, 2.9):
         rays_o, rays_d = camera_rays(Camera.orbit(yaw=yaw, size=24))
-        there, hit = first_surface(ball, occupancy, rays_o, rays_d)
+        there, hit = first_surface(ball, OccupiedSteps(occupancy, rays_o, rays_d), rays_o, rays_d)
         here, found = lattice.first_surface(rays_o, rays_d)
         assert (hit != found).float().mean() < 0.01
         both = hit & found

@@ -3,7 +3,8 @@ from __future__ import annotations
 import torch
 
 from gazenerf.geometry import Camera, camera_rays
-from gazenerf.heads.occupancy import Occupancy, first_surface
+from gazenerf.heads.march import first_surface
+from gazenerf.heads.occupancy import Occupancy, OccupiedSteps
 
 BOX = torch.tensor([[-1.5, -1.7, -1.5], [1.5, 1.5, 1.5]])
 
@@ -28,7 +29,7 @@ def test_empty_density_has_no_bounds_and_no_surface() -> None:
     grid = Occupancy.of(lambda points: torch.zeros(len(points)), BOX, size=16)
     assert grid.bounds() is None and grid.share == 0.0
     rays_o, rays_d = camera_rays(Camera.neutral(4))
-    _, hit = first_surface(lambda points: torch.zeros(len(points)), grid, rays_o, rays_d)
+    _, hit = first_surface(lambda points: torch.zeros(len(points)), OccupiedSteps(grid, rays_o, rays_d), rays_o, rays_d)
     assert not bool(hit.any())
 
 
@@ -36,7 +37,7 @@ def test_first_surface_is_found_to_a_fraction_of_a_step() -> None:
     grid = Occupancy.of(ball, BOX)
     for yaw in (0.0, 1.2, 2.9):
         rays_o, rays_d = camera_rays(Camera.orbit(yaw=yaw, size=16))
-        distance, hit = first_surface(ball, grid, rays_o, rays_d)
+        distance, hit = first_surface(ball, OccupiedSteps(grid, rays_o, rays_d), rays_o, rays_d)
         along = -(rays_o * rays_d).sum(1)
         rest = 0.81 - rays_o.square().sum(1) + along.square()
         expected = along - rest.clamp(min=0).sqrt()
@@ -50,13 +51,13 @@ def test_rays_that_lose_some_light_are_found_where_they_lose_most() -> None:
     veil = lambda points: 4.0 * ((points[:, 2] - 0.3).abs() < 0.03).float()  # noqa: E731
     grid = Occupancy.of(veil, BOX)
     rays_o, rays_d = torch.tensor([[0.0, 0.0, 12.0]]), torch.tensor([[0.0, 0.0, -1.0]])
-    distance, hit = first_surface(veil, grid, rays_o, rays_d, steps=200)
+    distance, hit = first_surface(veil, OccupiedSteps(grid, rays_o, rays_d, 200), rays_o, rays_d)
     assert bool(hit.all()) and abs(float(distance[0]) - 11.7) < 0.04
-    assert not bool(first_surface(veil, grid, rays_o, rays_d, steps=200, least=0.4)[1].any())
+    assert not bool(first_surface(veil, OccupiedSteps(grid, rays_o, rays_d, 200), rays_o, rays_d, least=0.4)[1].any())
 
 
 def test_transparent_haze_is_no_surface() -> None:
     haze = lambda points: 0.05 * (points.norm(dim=-1) < 0.9).float()  # noqa: E731
     grid = Occupancy.of(haze, BOX, threshold=0.01)
     rays_o, rays_d = camera_rays(Camera.neutral(8))
-    assert not bool(first_surface(haze, grid, rays_o, rays_d)[1].any())
+    assert not bool(first_surface(haze, OccupiedSteps(grid, rays_o, rays_d), rays_o, rays_d)[1].any())

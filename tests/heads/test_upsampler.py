@@ -6,9 +6,9 @@ import pytest
 import torch
 
 from gazenerf.errors import UserError
+from gazenerf.heads.head import Head
 from gazenerf.heads.upsampler import BACKENDS, FoldedRenderer, has_openvino, make_upsampler
-
-from tests.field_doubles import make_field, tiny_config
+from tests.field_doubles import make_field, make_subject, tiny_config
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
@@ -35,13 +35,14 @@ def test_a_fold_of_other_weights_is_not_the_same() -> None:
     assert (folded(features) - field.renderer(features)).abs().max() > 1e-3
 
 
-def test_the_fields_upsampler_follows_its_weights() -> None:
+def test_a_heads_upsampler_follows_the_weights() -> None:
     field = make_field(tiny_config())
-    first = field.upsampler("folded")
-    assert field.upsampler("folded") is first
+    head = Head(field, make_subject(field.config))
+    first = head.upsample
+    assert head.upsample is first
     field.renderer.narrow[0].weight.add_(0.05)  # type: ignore[union-attr, operator]
     features = torch.randn(1, field.config.feature_channels, 16, 16)
-    assert (field.upsampler("folded")(features) - field.renderer(features)).abs().max() < 2e-6
+    assert (head.upsample(features) - field.renderer(features)).abs().max() < 2e-6
 
 
 def test_unknown_backends_are_one_line() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +12,10 @@ import numpy as np
 from gazenerf.errors import UserError
 from gazenerf.files import whole_file
 from gazenerf.geometry import Camera, Gaze
-from gazenerf.heads.interface import BoundField
+from gazenerf.heads.interface import BoundField, HeadField
 from gazenerf.viz.pictures.layout import grid_size, tile
 from gazenerf.viz.pictures.panels import DEPTH_RANGE, ReferenceRenderer, check_panels, draw_panels
 
-Bind = Callable[[Gaze], BoundField]
 """Folds a gaze into a field with its subject already chosen."""
 
 ORBIT_FORMAT = "gazenerf-orbit-1"
@@ -28,7 +27,7 @@ def frame_size(camera: Camera, panels: Sequence[str], columns: int | None = None
 
 
 def render_orbit(
-    bind: Bind,
+    head: HeadField,
     cameras: Sequence[Camera],
     gazes: Sequence[Gaze],
     panels: Sequence[str] = ("image",),
@@ -47,11 +46,11 @@ def render_orbit(
     Example:
         >>> cameras = horizontal(60, size=256)
         >>> gazes = look_at_camera(cameras)
-        >>> bind = lambda gaze: field.bind(subject, gaze)
-        >>> write_video("orbit.mp4", render_orbit(bind, cameras, gazes, ("image", "depth")))
+        >>> head = Head(field, subject)
+        >>> write_video("orbit.mp4", render_orbit(head, cameras, gazes, ("image", "depth")))
 
     Args:
-        bind: Makes the bound field of a gaze.
+        head: Who is drawn.
         cameras: One a frame, all of one size.
         gazes: One a frame, head frame.
         panels: Names from `gazenerf.viz.pictures.panels.PANELS`.
@@ -83,7 +82,7 @@ def render_orbit(
         frame = np.empty(0)
         for camera, gaze in zip(cameras, gazes, strict=True):
             if bound is None or gaze != gaze_before:
-                bound, gaze_before, camera_before = bind(gaze), gaze, None
+                bound, gaze_before, camera_before = head.at(gaze), gaze, None
             if camera_before is None or not _same_view(camera, camera_before):
                 drawn = draw_panels(
                     bound, camera, names, reference=reference, geometry_size=geometry_size, depth_range=depth_range
