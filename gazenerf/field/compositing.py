@@ -75,7 +75,8 @@ class StreamSamples:
 
     def along(self, weights: torch.Tensor) -> torch.Tensor:
         """Features of rays (..., R, C) from weights of their samples (..., R, S)."""
-        summed = (weights.to(self.features.dtype).unsqueeze(-2) @ self.features).squeeze(-2)
+        with torch.autocast(weights.device.type, enabled=False):  # in the precision of the features
+            summed = (weights.to(self.features.dtype).unsqueeze(-2) @ self.features).squeeze(-2)
         return summed if self.project is None else self.project(summed, weights.sum(-1)).float()
 
     def rays(self, index: torch.Tensor) -> StreamSamples:
