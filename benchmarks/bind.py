@@ -17,6 +17,7 @@ from benchmarks.measure import machine, timed, write_json
 from gazenerf.checkpoints import load_field
 from gazenerf.field.model import TwoStreamField
 from gazenerf.geometry import Camera, Gaze
+from gazenerf.heads import Head
 from gazenerf.heads.baked import bake
 from gazenerf.image_metrics import psnr
 from gazenerf.subjects import Subject, bundled_subjects, load_subject
@@ -34,18 +35,17 @@ def measure_bind(field: TwoStreamField, subject: Subject, gazes: int = 20) -> di
         `first`: of a subject never seen, which finds the occupancy; `new_gaze`: the median over gazes of
         the same subject; `bake`: of the whole head; `new_gaze_baked`: turning a baked head.
     """
-    field.occupancies.clear()
     rng = np.random.default_rng(0)
     turns = [Gaze.from_degrees(*(float(angle) for angle in rng.uniform(-20, 20, 2))) for _ in range(gazes)]
-    first = timed(lambda: field.bind(subject, Gaze()).density(POINT))
-    new = [timed(lambda gaze=gaze: field.bind(subject, gaze).density(POINT)) for gaze in turns]
-    bound = field.bind(subject, Gaze(), sampler="guided")
-    head = bake(bound)
-    turned = [timed(lambda gaze=gaze: head.at(gaze).density(POINT)) for gaze in turns]
+    head = Head(field, subject, sampler="guided")
+    first = timed(lambda: head.at(Gaze()).density(POINT))
+    new = [timed(lambda gaze=gaze: head.at(gaze).density(POINT)) for gaze in turns]
+    baked = bake(head, Gaze())
+    turned = [timed(lambda gaze=gaze: baked.at(gaze).density(POINT)) for gaze in turns]
     return {
         "first": first,
         "new_gaze": statistics.median(new),
-        "bake": head.report.seconds,
+        "bake": baked.report.seconds,
         "new_gaze_baked": statistics.median(turned),
     }
 
@@ -58,18 +58,18 @@ def measure_kept_face(field: TwoStreamField, subject: Subject) -> list[dict[str,
         baked head against the guided one, with `baked_at_zero` for gaze 0 0.
     """
     camera = Camera.orbit(0.3, size=field.config.image_size)
-    bound = field.bind(subject, Gaze(), sampler="guided")
-    head = bake(bound)
-    straight = bound.render(camera, ("face", "head"))
-    still = psnr(head.render(camera).image, straight.image)
+    head = Head(field, subject, sampler="guided")
+    baked = bake(head, Gaze())
+    straight = head.at(Gaze()).render(camera, ("face", "head"))
+    still = psnr(baked.at(Gaze()).render(camera).image, straight.image)
     rows = []
     for pitch, yaw in GAZES:
         gaze = Gaze.from_degrees(pitch, yaw)
-        view = bound.at(gaze).render(camera, ("face", "head"))
+        view = head.at(gaze).render(camera, ("face", "head"))
         rows.append(
             {
                 "pitch": pitch, "yaw": yaw, "face": psnr(view.images["face"], straight.images["face"]),
-                "baked": psnr(head.at(gaze).render(camera).image, view.image), "baked_at_zero": still,
+                "baked": psnr(baked.at(gaze).render(camera).image, view.image), "baked_at_zero": still,
             }
         )  # fmt: skip
     return rows

@@ -28,6 +28,7 @@ from gazenerf.errors import UserError
 from gazenerf.field.model import TwoStreamField
 from gazenerf.files import whole_file
 from gazenerf.geometry import Camera, Gaze
+from gazenerf.heads import Head
 from gazenerf.heads.baked import bake
 from gazenerf.heads.interface import BoundField
 from gazenerf.heads.upsampler import BACKENDS, has_openvino, make_upsampler
@@ -58,15 +59,15 @@ def compare_paths(field: TwoStreamField, subject: Subject, frames: int = 3) -> d
         frames: How many frames of `VIEWS`, repeated if more.
 
     Returns:
-        Per path the median seconds a frame, the median ratio of the reference's time to its own in
+        Per path the median seconds per frame, the median ratio of the reference's time to its own in
         the same frame, the least PSNR (dB) against the reference's and the guided picture, operations,
         and peak memory; for `baked` also its `bake`. Paths that the field refuses are left out.
     """
     size = field.config.image_size
-    middle = field.bind(subject, Gaze(), sampler="guided")
+    exact_head, guided_head = (Head(field, subject, sampler=name) for name in ("slabs", "guided"))
     head = None
     try:
-        head = bake(middle)
+        head = bake(guided_head, Gaze())
     except UserError as error:
         print(f"not baked: {error}")
     seconds: dict[str, list[float]] = {}
@@ -74,7 +75,7 @@ def compare_paths(field: TwoStreamField, subject: Subject, frames: int = 3) -> d
     found: dict[str, Any] = {}
     for number in range(frames + 1):
         camera, gaze = frame(number or 1, size)
-        exact, guided = (field.bind(subject, gaze, sampler=name) for name in ("slabs", "guided"))
+        exact, guided = exact_head.at(gaze), guided_head.at(gaze)
         paths: dict[str, Callable[[], np.ndarray]] = {
             "reference": partial(_reference, exact, camera),
             "exact": partial(_picture, exact, camera),
@@ -82,7 +83,7 @@ def compare_paths(field: TwoStreamField, subject: Subject, frames: int = 3) -> d
         }
         if head is not None:
             paths["baked"] = partial(_picture, head.at(gaze), camera)
-            paths["baked, gaze held"] = partial(_picture, head, camera)
+            paths["baked, gaze held"] = partial(_picture, head.at(Gaze()), camera)
         for name, draw in paths.items():
             if not number:  # warms up and is counted
                 found[name] = {"gflop": flops(draw) / 1e9, "peak_bytes": peak_memory(draw)}
@@ -145,9 +146,13 @@ def measure_scaling(field: TwoStreamField, subject: Subject, rounds: int = 3) ->
     Distances change the visible surface alone: the same volume, the same picture size. Their exponent is
     the slope of log cost against log pixels on the head; a cost by volume would have 0.
     """
-    guided = field.bind(subject, Gaze(), sampler="guided")
-    head = bake(guided)
-    paths: dict[str, BoundField] = {"guided": guided, "baked": head.at(Gaze(0.1, 0.1)), "baked, gaze held": head}
+    guided_head = Head(field, subject, sampler="guided")
+    guided, head = guided_head.at(Gaze()), bake(guided_head, Gaze())
+    paths: dict[str, BoundField] = {
+        "guided": guided,
+        "baked": head.at(Gaze(0.1, 0.1)),
+        "baked, gaze held": head.at(Gaze()),
+    }
 
     def sweep(cameras: list[Camera]) -> dict[str, list[float]]:
         rows = [paired({n: partial(_picture, b, camera) for n, b in paths.items()}, rounds) for camera in cameras]
@@ -163,7 +168,7 @@ def measure_scaling(field: TwoStreamField, subject: Subject, rounds: int = 3) ->
     for samples in SAMPLES:
         other = TwoStreamField(dataclasses.replace(field.config, samples=samples)).eval().requires_grad_(False)
         other.load_state_dict(field.state_dict())
-        exact = other.bind(subject, Gaze(), sampler="slabs")
+        exact = Head(other, subject, sampler="slabs").at(Gaze())
         by_samples.append(timed(lambda exact=exact: exact.render(Camera.neutral(field.config.image_size))))
     at = SIZES.index(256)
     return {
@@ -199,7 +204,7 @@ def plot(result: dict[str, Any], path: Path) -> None:
     if scaling is not None:
         for name, values in scaling["size"]["seconds"].items():
             middle.plot(scaling["size"]["pixels"], values, "o-", label=name)
-        middle.set(xscale="log", yscale="log", xlabel="picture, px a side", ylabel="seconds a frame")
+        middle.set(xscale="log", yscale="log", xlabel="picture, px a side", ylabel="seconds per frame")
         middle.set_xticks(scaling["size"]["pixels"], [str(n) for n in scaling["size"]["pixels"]])
         middle.minorticks_off()
         middle.legend(frameon=False)

@@ -119,6 +119,11 @@ class Camera:
         """The published neutral camera: at (0, 0, 12) with rotation diag(1, -1, -1)."""
         return cls.orbit(0.0, 0.0, size=size)
 
+    def __repr__(self) -> str:
+        x, y, z = self.position
+        fov = np.rad2deg(2.0 * np.arctan(0.5 * self.width / self.fx))
+        return f"Camera({self.width}x{self.height}, at {x:.2f} {y:.2f} {z:.2f}, {fov:.1f} degrees wide)"
+
     @property
     def position(self) -> np.ndarray:
         """(3,) centre of projection in world units."""

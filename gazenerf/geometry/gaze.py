@@ -43,6 +43,10 @@ class Gaze:
         x, y, z = direction / norm
         return cls(float(np.arcsin(np.clip(y, -1.0, 1.0))), float(np.arctan2(x, z)))
 
+    def __repr__(self) -> str:
+        pitch, yaw = self.degrees
+        return f"Gaze.from_degrees({pitch:g}, {yaw:g})"
+
     @property
     def degrees(self) -> tuple[float, float]:
         """(pitch, yaw) in degrees."""

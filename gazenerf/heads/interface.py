@@ -6,11 +6,14 @@ two-stream field are interchangeable.
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 import torch
+from PIL import Image
 
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.subjects import Subject
@@ -48,6 +51,11 @@ class GeometryView:
         """(H, W, 3) float64 world points of the surface, NaN where there is none."""
         return self.camera.unproject(self.depth)
 
+    def __repr__(self) -> str:
+        seen = np.isfinite(self.depth)
+        reach = f", depth {self.depth[seen].min():.2f} to {self.depth[seen].max():.2f} units" if seen.any() else ""
+        return f"GeometryView({self.camera.width}x{self.camera.height}, {seen.mean():.0%} of pixels seen{reach})"
+
     @property
     def depth_z(self) -> np.ndarray:
         """(H, W) camera z of the surface, world units."""
@@ -73,6 +81,23 @@ class RenderedView:
     def image(self) -> np.ndarray:
         """(H, W, 3) the merged picture."""
         return self.images["head"]
+
+    def pixels(self, part: Part = "head") -> np.ndarray:
+        """(H, W, 3) uint8 picture of a part, as files hold it."""
+        return (255.0 * np.clip(self.images[part], 0.0, 1.0)).round().astype(np.uint8)
+
+    def save(self, path: str | Path, part: Part = "head") -> None:
+        """Write the picture of a part as PNG, JPEG or WebP, by the file's name."""
+        Image.fromarray(self.pixels(part)).save(path)
+
+    def __repr__(self) -> str:
+        return f"RenderedView({self.camera.width}x{self.camera.height}, {' '.join(self.images)})"
+
+    def _repr_png_(self) -> bytes:
+        """The pictures side by side, for notebooks."""
+        buffer = io.BytesIO()
+        Image.fromarray(np.concatenate([self.pixels(part) for part in self.images], axis=1)).save(buffer, "png")
+        return buffer.getvalue()
 
 
 @runtime_checkable
