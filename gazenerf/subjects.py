@@ -80,6 +80,11 @@ class Subject:
     gaze: Gaze = field(default_factory=Gaze)
     provenance: dict[str, Any] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        sizes = "+".join(str(size) for size in self.codes.sizes)
+        known = "with" if self.head is not None else "without"
+        return f"Subject({self.name!r}, {sizes} codes, {known} head-model parameters)"
+
     def save(self, path: str | Path) -> None:
         """Write one safetensors file with JSON metadata."""
         tensors = {f"codes.{name}": getattr(self.codes, name) for name in _CODES}

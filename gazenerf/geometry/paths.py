@@ -318,7 +318,7 @@ def gaze_path(
     cameras: Sequence[Camera],
     *,
     gazes: Sequence[Gaze] = (),
-    limits: GazeRange = GazeRange(),
+    limits: GazeRange | None = None,
     eyes: np.ndarray | tuple[float, float, float] = EYE_MIDPOINT,
 ) -> list[Gaze]:
     """A gaze path by name, one gaze for each camera.
@@ -328,13 +328,15 @@ def gaze_path(
         cameras: The camera of every frame.
         gazes: What `hold` holds (the first; straight ahead by default) and `targets` visits (by
             default the middle and four corners at 80 % of the range).
-        limits: The field's trained range, which `sweep`, `circle` and `look-at-camera` stay inside.
+        limits: The field's trained range, which `sweep`, `circle` and `look-at-camera` stay inside;
+            `GazeRange()` where it is not known.
         eyes: (3,) middle between the eyes, world units.
 
     Raises:
         UserError: unknown name, or no cameras.
     """
     frames = len(phases(len(cameras)))
+    limits = limits or GazeRange()
     if name == "hold":
         return hold(frames, gazes[0] if gazes else Gaze())
     if name == "sweep":
