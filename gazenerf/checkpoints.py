@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
 from gazenerf.errors import UserError
@@ -25,11 +24,20 @@ from gazenerf.field.model import TwoStreamField
 from gazenerf.field.published import config_from_weights, native_name, native_weights
 from gazenerf.files import whole_file
 from gazenerf.pickles import Options, TensorRecord, TorchArchive
+from gazenerf.tensor_files import TensorFileKind, open_tensors
 
 FORMAT = "gazenerf-field-1"
 BUNDLED = Path(__file__).parent / "assets" / "field.safetensors"
 MAX_BYTES = 2**30
 MAX_PARAMETERS = 2**28
+KIND = TensorFileKind(
+    "checkpoint",
+    FORMAT,
+    MAX_BYTES,
+    absent="give --checkpoint a .safetensors file from `gazenerf train`",
+    foreign="a published checkpoint is converted by `gazenerf import-checkpoint`",
+    fix="give a .safetensors file that gazenerf wrote",
+)
 
 OFFSETS = ("iden_offset", "expr_offset", "appea_offset", "delta_EulurAngles", "delta_Tvecs")
 """What a published checkpoint learned for each training image: code offsets and camera corrections."""
@@ -82,28 +90,14 @@ def _expected(config: FieldConfig) -> dict[str, tuple[int, ...]]:
 
 
 def _load(path: Path) -> TwoStreamField:
-    if not path.is_file():
-        raise UserError(f"no checkpoint at {path}; give --checkpoint a .safetensors file from `gazenerf train`")
-    if path.stat().st_size > MAX_BYTES:
-        raise UserError(f"{path} is larger than a field can be ({MAX_BYTES >> 20} MiB)")
-    try:
-        with safe_open(path, framework="pt") as file:
-            metadata = file.metadata() or {}
-            if metadata.get("format") != FORMAT:
-                raise UserError(
-                    f"{path} is not a gazenerf checkpoint; a published one is converted by `gazenerf import-checkpoint`"
-                )
-            config = FieldConfig.from_dict(json.loads(metadata["config"]))
-            about = json.loads(metadata["about"])
-            if not isinstance(about, dict):
-                raise ValueError("its provenance is not an object")
-            found = {name: tuple(file.get_slice(name).get_shape()) for name in file.keys()}  # noqa: SIM118
-            check_shapes(found, config)
-            weights = {name: file.get_tensor(name).float() for name in found}
-    except (SafetensorError, OSError, KeyError, ValueError, TypeError, RecursionError) as error:
-        raise UserError(
-            f"cannot read the checkpoint {path}: {error}; give a .safetensors file that gazenerf wrote"
-        ) from error
+    with open_tensors(path, KIND, "pt") as (file, metadata):
+        config = FieldConfig.from_dict(json.loads(metadata["config"]))
+        about = json.loads(metadata["about"])
+        if not isinstance(about, dict):
+            raise ValueError("its provenance is not an object")
+        found = {name: tuple(file.get_slice(name).get_shape()) for name in file.keys()}  # noqa: SIM118
+        check_shapes(found, config)
+        weights = {name: file.get_tensor(name).float() for name in found}
     field = field_from_weights(weights, config, str(path))
     field.about = about
     field.weights_hash = weights_hash(path)

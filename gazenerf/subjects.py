@@ -8,15 +8,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
 from gazenerf.errors import UserError
 from gazenerf.files import whole_file
 from gazenerf.geometry import Camera, Gaze
+from gazenerf.tensor_files import TensorFileKind, open_tensors
 
 FORMAT = "gazenerf-subject-1"
 MAX_SUBJECT_BYTES = 16 * 2**20
+KIND = TensorFileKind(
+    "subject",
+    FORMAT,
+    MAX_SUBJECT_BYTES,
+    absent="`gazenerf subjects` lists the bundled names",
+    foreign="give one that `Subject.save` wrote",
+    file="subject file",
+)
 
 
 @dataclass(frozen=True)
@@ -107,24 +115,14 @@ class Subject:
             UserError: the file is missing, too large, damaged, or not a subject.
         """
         path = Path(path)
-        if not path.is_file():
-            raise UserError(f"no subject file at {path}; `gazenerf subjects` lists the bundled names")
-        if path.stat().st_size > MAX_SUBJECT_BYTES:
-            raise UserError(f"{path} is larger than a subject can be ({MAX_SUBJECT_BYTES >> 20} MiB)")
-        try:
-            with safe_open(path, framework="numpy") as file:
-                metadata = file.metadata() or {}
-                if metadata.get("format") != FORMAT:
-                    raise UserError(f"{path} is not a subject file (format {metadata.get('format')!r})")
-                keys = set(file.keys())
-                about = json.loads(metadata["subject"])
-                codes = Codes(*(file.get_tensor(f"codes.{name}") for name in _CODES))
-                head = Codes(*(file.get_tensor(f"head.{name}") for name in _CODES)) if "head.identity" in keys else None
+        with open_tensors(path, KIND) as (file, metadata):
+            keys = set(file.keys())
+            about = json.loads(metadata["subject"])
+            codes = Codes(*(file.get_tensor(f"codes.{name}") for name in _CODES))
+            head = Codes(*(file.get_tensor(f"head.{name}") for name in _CODES)) if "head.identity" in keys else None
             camera = None if about["camera"] is None else Camera.from_dict(about["camera"])
             pitch, yaw = (float(angle) for angle in about["gaze"])
             return cls(str(about["name"]), codes, head, camera, Gaze(pitch, yaw), dict(about["provenance"]))
-        except (SafetensorError, OSError, KeyError, ValueError, TypeError) as error:
-            raise UserError(f"cannot read the subject {path}: {error}") from error
 
 
 _CODES = ("identity", "expression", "texture", "illumination")

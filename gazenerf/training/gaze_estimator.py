@@ -12,17 +12,23 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
-from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import nn
 from torch.nn import functional as F
 
-from gazenerf.errors import UserError
 from gazenerf.files import whole_file
+from gazenerf.tensor_files import TensorFileKind, open_tensors
 
 FORMAT = "gazenerf-gaze-estimator-1"
 BUNDLED = Path(__file__).parent.parent / "assets" / "gaze_estimator.safetensors"
 MAX_BYTES = 64 * 2**20
+KIND = TensorFileKind(
+    "gaze estimator",
+    FORMAT,
+    MAX_BYTES,
+    absent="train one with scripts/train_gaze_estimator.py",
+    foreign="train one with scripts/train_gaze_estimator.py",
+)
 
 INPUT = 256
 """Pictures are resized to this side first."""
@@ -145,24 +151,14 @@ def load_gaze_estimator(path: str | Path | None = None) -> GazeEstimator:
         UserError: missing, too large, damaged, of other shapes, or not finite.
     """
     path = BUNDLED if path is None else Path(path)
-    if not path.is_file():
-        raise UserError(f"no gaze estimator at {path}; train one with scripts/train_gaze_estimator.py")
-    if path.stat().st_size > MAX_BYTES:
-        raise UserError(f"{path} is larger than a gaze estimator can be ({MAX_BYTES >> 20} MiB)")
-    try:
-        with safe_open(path, framework="pt") as file:
-            metadata = file.metadata() or {}
-            if metadata.get("format") != FORMAT:
-                raise ValueError(f"its format is {metadata.get('format')!r}")
-            about = json.loads(metadata["about"])
-            weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    with open_tensors(path, KIND, "pt") as (file, metadata):
+        about = json.loads(metadata["about"])
+        weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         estimator = GazeEstimator()
         for name, value in weights.items():
             if value.is_floating_point() and not bool(torch.isfinite(value).all()):
                 raise ValueError(f"{name} holds NaN or infinite values")
         estimator.load_state_dict(weights)
-    except (SafetensorError, OSError, KeyError, ValueError, RuntimeError, TypeError) as error:
-        raise UserError(f"cannot read the gaze estimator {path}: {str(error).splitlines()[0]}") from error
     estimator.about = about
     return estimator.eval().requires_grad_(False)
 
