@@ -1,0 +1,88 @@
+"""A parser from an options dataclass, and its values from what was typed.
+
+tyro makes parsers from dataclasses too, but says what is wrong in a box of several lines without a
+way to change that, takes the word `None` for every optional value, and has no flag of three states.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import types
+import typing
+from typing import Any, TypeVar
+
+from gazenerf.options import Option, options_of
+
+T = TypeVar("T")
+
+
+def add_options(parser: argparse.ArgumentParser, kind: type) -> None:
+    """Add the options of a dataclass to a parser; what is not given leaves no trace in its namespace."""
+    hints = typing.get_type_hints(kind)
+    groups: dict[str, Any] = {"": parser}
+    exclusive: dict[str, Any] = {}
+    for name, option in options_of(kind).items():
+        place = groups.get(option.group) or groups.setdefault(option.group, parser.add_argument_group(option.group))
+        if option.only_one is not None:
+            place = exclusive.get(option.only_one) or exclusive.setdefault(
+                option.only_one, place.add_mutually_exclusive_group()
+            )
+        flag = option.flag or f"--{name.replace('_', '-')}"
+        place.add_argument(flag, dest=name, default=argparse.SUPPRESS, help=option.help, **_shape(hints[name], option))
+        if option.off is not None:
+            off, said = option.off
+            place.add_argument(off, dest=name, default=argparse.SUPPRESS, action="store_false", help=said)
+
+
+def _shape(hint: Any, option: Option) -> dict[str, Any]:
+    """How an option of a type is typed, as keyword arguments of `add_argument`."""
+    kind = _without_none(hint)
+    if kind is bool:
+        turned_off = option.flag is not None and option.flag.startswith("--no-")
+        return {"action": "store_false" if turned_off else "store_true"}
+    shape: dict[str, Any] = {"metavar": option.metavar} if option.metavar is not None else {}
+    if option.required:
+        shape["required"] = True
+    if option.choices is not None:
+        shape["choices"] = list(option.choices)
+    inner, several = kind, typing.get_args(kind)
+    if typing.get_origin(kind) is tuple:
+        inner = several[0]
+        if several[-1] is not Ellipsis:
+            shape["nargs"] = len(several)
+        elif typing.get_origin(inner) is tuple:
+            shape |= {"nargs": len(typing.get_args(inner)), "action": "append"}
+            inner = typing.get_args(inner)[0]
+        else:
+            shape["nargs"] = "+"
+    if inner is not str:
+        shape["type"] = inner
+    return shape
+
+
+def _without_none(hint: Any) -> Any:
+    if isinstance(hint, types.UnionType) or typing.get_origin(hint) is typing.Union:
+        rest = [item for item in typing.get_args(hint) if item is not type(None)]
+        return rest[0] if len(rest) == 1 else str
+    return hint
+
+
+def given(kind: type, namespace: argparse.Namespace) -> dict[str, Any]:
+    """Field name to value of what was typed, nothing else."""
+    found = {}
+    for name in options_of(kind):
+        if hasattr(namespace, name):
+            value = getattr(namespace, name)
+            found[name] = _tuples(value)
+    return found
+
+
+def parsed(kind: type[T], namespace: argparse.Namespace) -> T:
+    """The dataclass with what was typed, and its own defaults elsewhere."""
+    assert dataclasses.is_dataclass(kind)
+    return kind(**given(kind, namespace))
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(_tuples(item) for item in value) if isinstance(value, list) else value

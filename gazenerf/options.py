@@ -1,0 +1,80 @@
+"""Settings as frozen dataclasses from which the command line, its help and the tables in the docs are made.
+
+A field is declared by `option`, which says what a user is told about it. How it is typed follows from
+the field's type: `tuple[str, ...]` takes several words, `tuple[float, float]` two numbers,
+`tuple[tuple[float, float], ...]` two numbers each time the flag is given, `bool` none.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import MISSING, dataclass
+from pathlib import Path
+from typing import Any
+
+KEY = "option"
+
+
+@dataclass(frozen=True)
+class Option:
+    """What a user is told about a setting.
+
+    Attributes:
+        help: One phrase; `%(default)s` is not filled in, say the default where it matters.
+        flag: Its name on the command line, `--` and all; the field's name by default.
+        off: A second flag that turns a `bool` off, and its help.
+        metavar: What stands for the value in the help.
+        group: Heading of the help under which it stands; empty for the first one.
+        choices: The values that can be given; all by default.
+        only_one: Options of the same name here exclude each other.
+        required: Must be given on the command line.
+    """
+
+    help: str
+    flag: str | None = None
+    off: tuple[str, str] | None = None
+    metavar: str | tuple[str, ...] | None = None
+    group: str = ""
+    choices: Sequence[str | int] | None = None
+    only_one: str | None = None
+    required: bool = False
+
+
+def option(
+    default: Any = MISSING,
+    help: str = "",
+    *,
+    factory: Callable[[], Any] | None = None,
+    flag: str | None = None,
+    off: tuple[str, str] | None = None,
+    metavar: str | tuple[str, ...] | None = None,
+    group: str = "",
+    choices: Sequence[str | int] | None = None,
+    only_one: str | None = None,
+) -> Any:
+    """A dataclass field that is an option; see `Option`. Without a default it has to be given."""
+    about = Option(help, flag, off, metavar, group, choices, only_one, default is MISSING and factory is None)
+    if factory is not None:
+        return dataclasses.field(default_factory=factory, metadata={KEY: about})
+    return dataclasses.field(default=default, metadata={KEY: about})
+
+
+def options_of(kind: type) -> dict[str, Option]:
+    """Field name to what a user is told, of a dataclass whose fields were declared by `option`."""
+    return {field.name: field.metadata[KEY] for field in dataclasses.fields(kind) if KEY in field.metadata}
+
+
+def to_dict(options: object) -> dict[str, Any]:
+    """The values of an options dataclass as JSON holds them."""
+    return {field.name: _plain(getattr(options, field.name)) for field in dataclasses.fields(options)}  # type: ignore[arg-type]
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (tuple, list)):
+        return [_plain(item) for item in value]
+    return value
