@@ -7,7 +7,7 @@ that starts over shows no pause and no jump. Gazes are in the head frame, which 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,8 +49,32 @@ class GazeRange:
         """Whether the gaze lies inside, borders included (to 1e-6 radians)."""
         return abs(gaze.pitch) <= self.pitch + 1e-6 and abs(gaze.yaw) <= self.yaw + 1e-6
 
+    def beyond(self, gazes: Iterable[Gaze]) -> BeyondTraining | None:
+        """Which of some gazes lies farthest outside; None where none does."""
+        outside = [gaze for gaze in gazes if not self.contains(gaze)]
+        if not outside:
+            return None
+        return BeyondTraining(max(outside, key=lambda gaze: abs(gaze.pitch) + abs(gaze.yaw)), self)
+
     def __str__(self) -> str:
         return f"pitch +-{np.rad2deg(self.pitch):.0f} and yaw +-{np.rad2deg(self.yaw):.0f} degrees"
+
+
+@dataclass(frozen=True)
+class BeyondTraining:
+    """A gaze that a field was never trained on.
+
+    Attributes:
+        gaze: The one farthest outside.
+        limits: What the field was trained on.
+    """
+
+    gaze: Gaze
+    limits: GazeRange
+
+    def __str__(self) -> str:
+        pitch, yaw = self.gaze.degrees
+        return f"gaze {pitch:g} {yaw:g} is beyond what this field was trained on ({self.limits}); expect artefacts"
 
 
 def phases(frames: int) -> np.ndarray:

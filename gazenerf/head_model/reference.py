@@ -48,3 +48,7 @@ class ReferenceHead:
     def illumination(self) -> np.ndarray:
         """(27,) spherical-harmonic light that the subject was seen in."""
         return self.codes.illumination
+
+    def eye_midpoint(self) -> np.ndarray:
+        """(3,) middle between the eyeballs' centres, world units."""
+        return self.at(Gaze()).eye_centres.mean(axis=0).astype(np.float64)

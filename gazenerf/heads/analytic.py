@@ -14,6 +14,7 @@ import torch
 
 from gazenerf.errors import UserError
 from gazenerf.geometry import Camera, Gaze
+from gazenerf.geometry.paths import GazeRange
 from gazenerf.heads.interface import PARTS, BoundField, GeometryView, Part, RenderedView
 from gazenerf.subjects import Codes, Subject
 
@@ -172,6 +173,11 @@ class AnalyticHead:
     def subject(self) -> Subject:
         """Of the field that looks straight ahead."""
         return self._make(Gaze()).subject
+
+    @property
+    def trained_range(self) -> GazeRange | None:
+        """Every gaze is exact."""
+        return None
 
     def at(self, gaze: Gaze) -> BoundField:
         """The field at a gaze."""

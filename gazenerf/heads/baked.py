@@ -20,6 +20,7 @@ from gazenerf.errors import UserError
 from gazenerf.field.compositing import composite
 from gazenerf.field.sampling import shell_samples
 from gazenerf.geometry import Camera, Gaze
+from gazenerf.geometry.paths import GazeRange
 from gazenerf.heads.bound import BoundHead
 from gazenerf.heads.feature_map import FeatureGrid, RayFeatures, Window, to_picture
 from gazenerf.heads.head import Head
@@ -164,6 +165,11 @@ class BakedHead:
     def report(self) -> BakeReport:
         """What the bake cost."""
         return self.baked.report
+
+    @property
+    def trained_range(self) -> GazeRange | None:
+        """See `HeadField`."""
+        return self.head.trained_range
 
     def at(self, gaze: Gaze) -> BakedBoundHead:
         """The same bake with the eyes turned; binds the gaze."""

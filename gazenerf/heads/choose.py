@@ -60,7 +60,7 @@ class RenderPath:
 
 
 def choose_path(
-    head: Head,
+    head: HeadField,
     cameras: Sequence[Camera],
     gazes: Sequence[Gaze],
     speed: str = "auto",
@@ -72,7 +72,7 @@ def choose_path(
     the same picture, or cannot be made, another path is taken and `RenderPath.note` says why.
 
     Args:
-        head: Who is drawn.
+        head: Who is drawn; any but `Head` is drawn as it is.
         cameras, gazes: One per frame.
         speed: One of `SPEEDS`.
         least_psnr: Agreement (dB) below which a bake is not used.
@@ -82,6 +82,8 @@ def choose_path(
     """
     if speed not in SPEEDS:
         raise UserError(f"unknown speed {speed!r}; choose {', '.join(SPEEDS)}")
+    if not isinstance(head, Head):
+        return RenderPath("exact", head)
     own = "guided" if head.field.config.sampler == "guided" else "exact"
     if speed == "exact":
         return RenderPath("exact", head.with_sampler("slabs"))

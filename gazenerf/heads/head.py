@@ -7,7 +7,6 @@ import threading
 import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -16,7 +15,7 @@ from gazenerf.errors import UserError
 from gazenerf.field.model import TwoStreamField
 from gazenerf.field.streams import StreamCondition
 from gazenerf.geometry import Gaze
-from gazenerf.geometry.paths import GazeRange
+from gazenerf.geometry.paths import BeyondTraining, GazeRange
 from gazenerf.heads.bound import BoundHead
 from gazenerf.heads.interface import Part
 from gazenerf.heads.occupancy import Occupancy
@@ -31,23 +30,6 @@ SLAB_HALF_WIDTH = 1.93
 
 EVERYWHERE = 0.9
 """Share of the box above which a density has no surface to look for."""
-
-
-@dataclass(frozen=True)
-class BeyondTraining:
-    """A gaze that a field was never trained on.
-
-    Attributes:
-        gaze: The one farthest outside.
-        limits: What the field was trained on.
-    """
-
-    gaze: Gaze
-    limits: GazeRange
-
-    def __str__(self) -> str:
-        pitch, yaw = self.gaze.degrees
-        return f"gaze {pitch:g} {yaw:g} is beyond what this field was trained on ({self.limits}); expect artefacts"
 
 
 class Head:
@@ -118,11 +100,7 @@ class Head:
     def check(self, gazes: Gaze | Iterable[Gaze]) -> BeyondTraining | None:
         """Which of some gazes lies farthest beyond the trained range; None where none does."""
         limits = self.trained_range
-        asked = [gazes] if isinstance(gazes, Gaze) else list(gazes)
-        outside = [gaze for gaze in asked if limits is not None and not limits.contains(gaze)]
-        if limits is None or not outside:
-            return None
-        return BeyondTraining(max(outside, key=lambda gaze: abs(gaze.pitch) + abs(gaze.yaw)), limits)
+        return None if limits is None else limits.beyond([gazes] if isinstance(gazes, Gaze) else gazes)
 
     @property
     def parts(self) -> tuple[Part, ...]:

@@ -16,6 +16,7 @@ import torch
 from PIL import Image
 
 from gazenerf.geometry import Camera, Gaze
+from gazenerf.geometry.paths import GazeRange
 from gazenerf.subjects import Subject
 
 Part = Literal["face", "eyes", "head"]
@@ -151,6 +152,11 @@ class HeadField(Protocol):
     @property
     def subject(self) -> Subject:
         """Whose head it is."""
+        ...
+
+    @property
+    def trained_range(self) -> GazeRange | None:
+        """The gazes that the field was trained on, None where that is not known."""
         ...
 
     def at(self, gaze: Gaze) -> BoundField:
