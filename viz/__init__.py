@@ -1,13 +1,20 @@
 """What is looked at: orbits, sweeps, panels, reference renders, consistency, report."""
 
-import warnings
+from __future__ import annotations
 
-from gazenerf.viz.check.field import check_subject
-from gazenerf.viz.check.frames import read_frames
-from gazenerf.viz.check.frames_check import FramesResult, check_frames
-from gazenerf.viz.check.result import CheckResult
-from gazenerf.viz.report.frames_report import write_frames_report
-from gazenerf.viz.report.write import write_report
+import importlib
+import warnings
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from gazenerf.viz.check.field import check_subject
+    from gazenerf.viz.check.frames import read_frames
+    from gazenerf.viz.check.frames_check import FramesResult, check_frames
+    from gazenerf.viz.check.result import CheckResult
+    from gazenerf.viz.pictures.orbit import render_orbit
+    from gazenerf.viz.pictures.video import write_video
+    from gazenerf.viz.report.frames_report import write_frames_report
+    from gazenerf.viz.report.write import write_report
 
 __all__ = [
     "CheckResult",
@@ -15,9 +22,31 @@ __all__ = [
     "check_frames",
     "check_subject",
     "read_frames",
+    "render_orbit",
     "write_frames_report",
     "write_report",
+    "write_video",
 ]
+
+_HOMES = {
+    "CheckResult": "check.result",
+    "FramesResult": "check.frames_check",
+    "check_frames": "check.frames_check",
+    "check_subject": "check.field",
+    "read_frames": "check.frames",
+    "render_orbit": "pictures.orbit",
+    "write_frames_report": "report.frames_report",
+    "write_report": "report.write",
+    "write_video": "pictures.video",
+}
+"""Name to the module that defines it; modules are loaded when a name is first used."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'gazenerf.viz' has no attribute {name!r}")
+    return getattr(importlib.import_module(f"gazenerf.viz.{_HOMES[name]}"), name)
+
 
 if __name__ == "viz":
     warnings.warn("`viz` is now `gazenerf.viz`; the old name goes in 0.3", DeprecationWarning, stacklevel=2)
