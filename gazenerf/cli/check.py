@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from gazenerf.errors import UserError
 
 if TYPE_CHECKING:
-    from gazenerf.viz.metrics.definitions import Metric
+    from gazenerf.viz.metrics.definitions import Definition, Metric
 
 HELP = "measure whether a field, or a folder of frames, is one consistent 3D head"
 REFERENCES = {"mitsuba": ("mitsuba",), "pyrender": ("pyrender",), "both": ("mitsuba", "pyrender")}
@@ -91,13 +91,13 @@ def _check_field(args: argparse.Namespace) -> int:
     from gazenerf.head_model import load_head_model
     from gazenerf.viz.check.field import check_cameras, check_subject
     from gazenerf.viz.check.workers import pool
-    from gazenerf.viz.metrics.definitions import GAUGES
     from gazenerf.viz.metrics.eyes import gaze_grid
+    from gazenerf.viz.metrics.families import CHECK_DEFINITIONS
     from gazenerf.viz.metrics.orbit_pictures import measure_orbit
     from gazenerf.viz.report.error_mesh import FILE, error_mesh
     from gazenerf.viz.report.write import write_report
 
-    thresholds = _thresholds(args, GAUGES)
+    thresholds = _thresholds(args, CHECK_DEFINITIONS)
     gaze, views, size = checked_gaze(args.gaze), _given(args.views, VIEWS), _given(args.size, SIZE)
     check_cameras(views, size)
     gazes = gaze_grid(gaze)
@@ -129,7 +129,7 @@ def _check_field(args: argparse.Namespace) -> int:
     error = None
     if not args.no_error_mesh:
         with _steps("error mesh") as tell:
-            error = error_mesh(bound, mesh, progress=tell)
+            error = error_mesh(bound, mesh, progress=lambda stage, done, total: tell(done, total))
     crossed = [name for name, limit in thresholds.items() if result.metric(name).crosses(limit)]
     page, numbers = write_report(result, args.out, error=error, bound=bound)
     rows: dict[str, object] = {"report": page, "numbers": numbers}
@@ -144,10 +144,11 @@ def _check_field(args: argparse.Namespace) -> int:
 def _check_frames(args: argparse.Namespace) -> int:
     from gazenerf.cli.common import summary_table
     from gazenerf.viz.check.frames import LONGEST_PX, MOST_FRAMES, read_frames
-    from gazenerf.viz.check.frames_check import GAUGES, check_frames
+    from gazenerf.viz.check.frames_check import check_frames
+    from gazenerf.viz.metrics.families import FRAMES_DEFINITIONS
     from gazenerf.viz.report.frames_report import write_frames_report
 
-    thresholds = _thresholds(args, GAUGES)
+    thresholds = _thresholds(args, FRAMES_DEFINITIONS)
     _refuse_existing(args)
     folder = read_frames(args.frames, most=_given(args.views, MOST_FRAMES), longest_px=_given(args.size, LONGEST_PX))
     name = args.frames.resolve().name
@@ -166,7 +167,8 @@ def _compare(args: argparse.Namespace) -> int:
     from rich.console import Console
     from rich.table import Table
 
-    from gazenerf.viz.check.compare import PAGE, compare_reports, summary, terminal_rows, write_comparison
+    from gazenerf.viz.check.compare import compare_reports
+    from gazenerf.viz.report.comparison import PAGE, summary, terminal_rows, write_comparison
 
     if args.fail_on:
         raise UserError("--fail-on gates a measurement, not a comparison; leave it out with --compare")
@@ -188,11 +190,11 @@ def _compare(args: argparse.Namespace) -> int:
     return 0
 
 
-def _thresholds(args: argparse.Namespace, gauges: Sequence[Metric]) -> dict[str, float]:
+def _thresholds(args: argparse.Namespace, definitions: Sequence[Definition]) -> dict[str, float]:
     from gazenerf.viz.metrics.definitions import check_names
 
     thresholds = parse_thresholds(args.fail_on)
-    check_names(thresholds, gauges)
+    check_names(thresholds, definitions)
     return thresholds
 
 

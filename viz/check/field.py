@@ -18,10 +18,10 @@ from gazenerf.heads.interface import BoundField, Part
 from gazenerf.viz.check.result import CheckedView, CheckResult
 from gazenerf.viz.check.workers import pool
 from gazenerf.viz.metrics.agreement import blemish_mm2, compare
-from gazenerf.viz.metrics.definitions import GAUGES, Metric, check_names
 from gazenerf.viz.metrics.drift import Drift, TextureFollow, view_drift
 from gazenerf.viz.metrics.epipolar import FRAMES, SWEEP_DEGREES, Map, epipolar_strips
 from gazenerf.viz.metrics.eyes import EyeSweep, gaze_grid, sweep_eyes
+from gazenerf.viz.metrics.families import CHECK_DEFINITIONS, measured
 from gazenerf.viz.metrics.pairs import PairReading, load_perceptual, measure_pair, view_pairs
 from gazenerf.viz.metrics.readings import (
     of_drift,
@@ -31,13 +31,10 @@ from gazenerf.viz.metrics.readings import (
     of_surfaces,
     of_views,
     reference_readings,
-    verdict,
 )
 from gazenerf.viz.metrics.stream_views import StreamView, render_streams, stream_parts
 from gazenerf.viz.metrics.surfaces import measure_surfaces, surface_errors
 from gazenerf.viz.reference.views import RENDERERS, ReferenceView, obstacle, render_reference, usable
-
-__all__ = ["GAUGES", "CheckResult", "CheckedView", "Metric", "check_cameras", "check_names", "check_subject"]
 
 T = TypeVar("T")
 
@@ -150,7 +147,7 @@ def check_subject(
         for a, b in combinations(working, 2)
         for i, view in enumerate(checked)
     )
-    measured = (
+    values = (
         of_views(checked)
         | of_renderers(between)
         | of_surfaces(surfaces, errors)
@@ -160,7 +157,7 @@ def check_subject(
     )
     worst = sorted(checked, key=lambda view: -np.nan_to_num(view.agreement.depth_median_mm, nan=np.inf))
     return CheckResult(
-        metrics=verdict(measured, reference_readings(between)),
+        metrics=measured(CHECK_DEFINITIONS, values, reference_readings(between)),
         views=tuple(worst),
         pairs=tuple((p.a, p.b, p.whole) for p in streams.get("head", ())),
         renderers=tuple(working),

@@ -17,15 +17,12 @@ from gazenerf.geometry.cameras import NEUTRAL_DISTANCE
 from gazenerf.heads.interface import GeometryView
 from gazenerf.viz.check.frames import Frame, FrameFolder
 from gazenerf.viz.check.result import plain
-from gazenerf.viz.metrics import definitions as check_gauges
 from gazenerf.viz.metrics.colmap import StructureFromMotion, middle_of_attention, run_colmap, unavailable
 from gazenerf.viz.metrics.definitions import Metric, check_names
-from gazenerf.viz.metrics.orbit_pictures import pair_rows, picture_readings, reading, with_readings
+from gazenerf.viz.metrics.families import FRAMES_DEFINITIONS, FRAMES_VERSION, measured
+from gazenerf.viz.metrics.orbit_pictures import pair_rows, picture_readings, reading
 from gazenerf.viz.metrics.reprojection import Reprojection, carry, reproject
 from gazenerf.viz.metrics.tsed import Tsed, measure_tsed, neighbours
-
-DEFINITIONS = "gazenerf-frames-1"
-"""Version of docs/consistency-of-others.md that the numbers follow."""
 
 LONG_DEGREES = (20.0, 40.0)
 """Angles at the middle of attention between the views of a long-range warp."""
@@ -38,22 +35,6 @@ RING_FRAMES, RING_DEGREES, RING_STEP_DEGREES = 8, 1.5, 15.0
 
 DEPTH_RATIOS = (0.2, 5.0)
 """Depth over the cameras' distance from their middle of attention beyond which its unit is taken to be wrong."""
-
-GAUGES = tuple(
-    replace(gauge, group="Pictures against their cameras")
-    for gauge in check_gauges.GAUGES
-    if gauge.name.startswith(("tsed_", "sfm_"))
-) + tuple(
-    Metric(name, label, unit, math.nan, passes, warns, higher, "Views against each other, by their depth")
-    for name, label, unit, passes, warns, higher in (
-        ("reprojection", "depth reprojection, consistent share", "", 0.95, 0.85, True),
-        ("round_trip_px", "reprojection round trip, median", "px", 0.3, 0.6, False),
-        ("warp_psnr", "picture warped to a neighbour", "dB", 28.0, 22.0, True),
-        ("warp_worst_psnr", "picture warped, worst pair", "dB", 24.0, 19.0, True),
-        ("warp_long_psnr", "picture warped by about 30 degrees", "dB", 25.0, 20.0, True),
-    )
-)
-"""What is measured of frames and its thresholds, no values yet."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +107,7 @@ class FramesResult:
         Raises:
             UserError: there is none of that name.
         """
-        check_names([name], GAUGES)
+        check_names([name], FRAMES_DEFINITIONS)
         return next(metric for metric in self.metrics if metric.name == name)
 
     def to_dict(self) -> dict[str, Any]:
@@ -134,9 +115,9 @@ class FramesResult:
         names = [frame.name for frame in self.frames]
         return plain(
             {
-                "definitions": DEFINITIONS,
+                "definitions": FRAMES_VERSION,
                 "about": self.about,
-                "metrics": [{**asdict(metric), "verdict": metric.verdict} for metric in self.metrics],
+                "metrics": [metric.to_dict() for metric in self.metrics],
                 "tsed_pairs": pair_rows(self.tsed, names),
                 "warps": [
                     {"a": names[w.a], "b": names[w.b], "degrees": w.degrees, "reach": w.reach, **asdict(w.result)}
@@ -350,4 +331,4 @@ def _metrics(tsed: Tsed, warps: Sequence[Warp], motion: StructureFromMotion | No
         "warp_worst_psnr": (worst, math.nan),
         "warp_long_psnr": reading([r.warp_psnr for r in long], np.median, seed),
     }
-    return with_readings(GAUGES, values)
+    return measured(FRAMES_DEFINITIONS, values)

@@ -10,9 +10,10 @@ import numpy as np
 
 from gazenerf.heads.interface import GeometryView, Part
 from gazenerf.viz.metrics.agreement import Agreement
-from gazenerf.viz.metrics.definitions import DEFINITIONS, Metric, check_names
+from gazenerf.viz.metrics.definitions import Metric, check_names
 from gazenerf.viz.metrics.drift import Drift
 from gazenerf.viz.metrics.eyes import EyeSweep
+from gazenerf.viz.metrics.families import CHECK_DEFINITIONS, CHECK_VERSION
 from gazenerf.viz.metrics.pairs import PairReading
 from gazenerf.viz.metrics.reprojection import Reprojection
 from gazenerf.viz.reference.views import ReferenceView
@@ -94,16 +95,16 @@ class CheckResult:
         Raises:
             UserError: there is none of that name.
         """
-        check_names([name])
+        check_names([name], CHECK_DEFINITIONS)
         return next(metric for metric in self.metrics if metric.name == name)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for report.json; NaN becomes null, pictures are left out."""
         return plain(
             {
-                "definitions": DEFINITIONS,
+                "definitions": CHECK_VERSION,
                 "about": self.about,
-                "metrics": [{**asdict(metric), "verdict": metric.verdict} for metric in self.metrics],
+                "metrics": [metric.to_dict() for metric in self.metrics],
                 "views": [
                     {
                         "yaw": v.yaw,

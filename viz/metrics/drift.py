@@ -14,6 +14,7 @@ from scipy import ndimage
 
 from gazenerf.heads.interface import GeometryView
 from gazenerf.viz.metrics.agreement import eroded
+from gazenerf.viz.metrics.definitions import COSINE, NOT_NEGATIVE, SHARE, Definition, Finding
 from gazenerf.viz.metrics.reprojection import Carried
 
 FINE_SIGMA, COARSE_SIGMA = 0.8, 3.0
@@ -27,6 +28,67 @@ MIN_PIXELS = 100
 
 REACH_PX = 8.0
 """A picture that lies farther from its volume is not registered."""
+
+
+PICTURE_AND_VOLUME = "Picture against its volume"
+
+_SHIFT_ADVICE = (
+    "The neural renderer draws the head beside its volume, as it does when rays go through pixel corners instead of "
+    "centres: check the checkpoint's pixel-centre convention before overlaying meshes on pictures."
+)
+_STICKING_ADVICE = (
+    "The neural renderer paints detail on the screen instead of on the surface, which shows as crawling texture in an "
+    "orbit: render at the trained size and train the up-sampler longer."
+)
+
+DEFINITIONS = (
+    Definition(
+        "picture_iou", "silhouette of the picture against the opacity (IoU)", "",
+        "How much of the area covered by the head in the picture and in the volume is covered by both; 1 is a perfect "
+        "match.",
+        0.97, 0.94, True, PICTURE_AND_VOLUME,
+        "The neural renderer draws a head of another outline than the volume's, so meshes will not overlay the "
+        "pictures: look at the silhouettes, and at the shift of the outline.",
+        SHARE,
+        "Median over views of intersection over union of the picture's silhouette (what differs from the background "
+        "colour by more than 0.06, holes filled, largest piece) and of the pixels with opacity at least 0.5.",
+        finding=Finding(0.995, 3),
+    ),
+    Definition(
+        "outline_shift_px", "shift of the outline against the opacity", "px",
+        "How far the outline of the head in the picture is shifted against the volume's.",
+        0.5, 1.0, False, PICTURE_AND_VOLUME, _SHIFT_ADVICE, NOT_NEGATIVE,
+        "Length of the median shift between the two outlines; growth is not counted as a shift.",
+        finding=Finding(0.3, 2),
+    ),
+    Definition(
+        "picture_shift_px", "shift of the picture against the volume", "px",
+        "How far what the picture shows inside the outline is shifted against the volume's surface.",
+        0.5, 1.0, False, PICTURE_AND_VOLUME, _SHIFT_ADVICE, NOT_NEGATIVE,
+        "Length of the median shift between the picture and what the volume explains of it: a mixture, fitted per "
+        "channel, of the nine spherical harmonics of its normals, its opacity and its visible eyes.",
+        finding=Finding(0.5, 2),
+    ),
+    Definition(
+        "unfollowed_share", "fine texture that does not follow the surface", "",
+        "How much of the fine texture fails to move with the surface when the camera moves by about 30 degrees; 0 is "
+        "none, 1 is all of it.",
+        0.5, 0.8, False, PICTURE_AND_VOLUME, _STICKING_ADVICE, (0.0, 2.0),
+        "Fine texture (0.8 to 3 px) of A and of B warped into A: energy of the difference divided by the energy of "
+        "both, long pairs; 0 when it lies on the surface, 1 when the two are unrelated.",
+        finding=Finding(0.2, 3),
+    ),
+    Definition(
+        "screen_stuck", "fine texture that stays on the screen", "",
+        "Whether fine texture stays at the same pixel while the surface moves away under it; 0 is not at all, 1 is "
+        "entirely.",
+        0.2, 0.5, False, PICTURE_AND_VOLUME, _STICKING_ADVICE, COSINE,
+        "Correlation of the fine texture of A and B at the same pixel, where the surface moved at least 4 px, long "
+        "pairs.",
+        finding=Finding(0.3, 3),
+    ),
+)  # fmt: skip
+"""Pictures of the neural renderer against the volume that they were made from."""
 
 
 @dataclass(frozen=True)

@@ -107,11 +107,11 @@ def reading(samples: Sequence[float], reduce: Callable[[np.ndarray], Any], seed:
     return (float(reduce(known)), bootstrap(known, reduce, seed)) if len(known) else (math.nan, math.nan)
 
 
-def with_readings(gauges: Sequence[Metric], values: dict[str, tuple[float, float]]) -> tuple[Metric, ...]:
-    """The gauges with values and error bars where they are known."""
+def with_readings(metrics: Sequence[Metric], values: dict[str, tuple[float, float]]) -> tuple[Metric, ...]:
+    """The metrics with values and error bars where they are known."""
     return tuple(
-        replace(gauge, value=values[gauge.name][0], error=values[gauge.name][1]) if gauge.name in values else gauge
-        for gauge in gauges
+        replace(metric, value=values[metric.name][0], error=values[metric.name][1]) if metric.name in values else metric
+        for metric in metrics
     )
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,6 @@ import numpy as np
 from gazenerf.heads.interface import Part
 from gazenerf.viz.check.result import CheckedView
 from gazenerf.viz.metrics.agreement import Agreement
-from gazenerf.viz.metrics.definitions import GAUGES, Metric
 from gazenerf.viz.metrics.drift import Drift
 from gazenerf.viz.metrics.error_bars import bootstrap
 from gazenerf.viz.metrics.eyes import EYES, EyeSweep, gaze_errors, gaze_response
@@ -20,20 +18,6 @@ from gazenerf.viz.metrics.pairs import PairReading
 
 Measured = dict[str, tuple[float, float]]
 """Name to value and half width of its 95 % interval."""
-
-
-def verdict(measured: Measured, references: dict[str, float] | None = None) -> tuple[Metric, ...]:
-    """The gauges with their values, error bars and readings of the reference; NaN for what was not measured."""
-    references = references or {}
-    return tuple(
-        replace(
-            gauge,
-            value=measured.get(gauge.name, (math.nan, math.nan))[0],
-            error=measured.get(gauge.name, (math.nan, math.nan))[1],
-            reference=references.get(gauge.name, math.nan),
-        )
-        for gauge in GAUGES
-    )
 
 
 def summary(values: Sequence[float], reduce: Callable[..., Any] = np.median) -> tuple[float, float]:

@@ -15,6 +15,7 @@ from scipy.spatial import KDTree
 from gazenerf.evaluation.face_crop import FaceCrop, face_crop
 from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, HeadMesh
 from gazenerf.viz.metrics.agreement import DepthView, eroded
+from gazenerf.viz.metrics.definitions import COSINE, NOT_NEGATIVE, SHARE, Definition, Finding
 from gazenerf.viz.metrics.error_bars import jackknife
 from gazenerf.viz.metrics.surface_fit import SurfaceSamples, align
 from gazenerf.viz.reference.views import ReferenceView
@@ -43,6 +44,141 @@ same in the NoW face crop, the shift (at the world's origin), turn and size of a
 far the worse eye's sphere is from the reference's. The size is by how many per cent the field is larger
 than the reference. Shift and turn are the similarity's, since a rigid fit turns a difference of size into
 both."""
+
+AS_SURFACES = "Field against the reference, as surfaces"
+FACE_CROP = "Field against the reference, face crop"
+FRAME_AND_EYES = "Frame and eyes"
+
+_FAR = (
+    "Parts of the field's surface are not on the head; the error mesh shows where in colour. Train longer, or clean "
+    "the mesh before use."
+)
+_LACKING = (
+    "Parts of the head are missing from the field's surface or lie elsewhere; the error mesh shows where in colour, "
+    "and a longer training or more views of that side help."
+)
+_FITTED = (
+    "The shape itself is wrong, not just its position, so moving the head will not help: train longer or fit the head "
+    "model to the person again."
+)
+_SCORE = (
+    "Too little of the surface is as close as this; if the looser F-scores pass, the surface is rough, else look for "
+    "missing or misplaced parts in the error mesh."
+)
+
+DEFINITIONS = (
+    Definition(
+        "surface_accuracy_mm", "accuracy: field to reference", "mm",
+        "The mean distance of points on the field's surface from the reference head.",
+        1.5, 3.0, False, AS_SURFACES, _FAR, NOT_NEGATIVE,
+        "Mean distance of the field's points from the reference.",
+    ),
+    Definition(
+        "surface_completeness_mm", "completeness: reference to field", "mm",
+        "The mean distance of points on the reference head from the field's surface.",
+        1.5, 3.0, False, AS_SURFACES, _LACKING, NOT_NEGATIVE,
+        "Mean distance of the reference's points from the field.",
+    ),
+    Definition(
+        "chamfer_mm", "Chamfer distance", "mm",
+        "The mean distance between the field's surface and the reference head, measured both ways.",
+        1.5, 3.0, False, AS_SURFACES,
+        "The surfaces lie apart: if the distance after a rigid fit passes, the head is only misplaced, else its shape "
+        "is wrong.",
+        NOT_NEGATIVE, "Mean of accuracy and completeness.", finding=Finding(0.3, 2),
+    ),
+    Definition(
+        "chamfer_aligned_mm", "Chamfer distance after a rigid fit", "mm",
+        "The same distance after the field's surface is moved and turned onto the reference, so that shape alone "
+        "counts.",
+        1.0, 2.0, False, AS_SURFACES, _FITTED, NOT_NEGATIVE,
+        "Chamfer distance after a rigid fit of the field to the reference.", finding=Finding(0.15, 2),
+    ),
+    Definition(
+        "normal_consistency", "normal consistency", "",
+        "Whether both surfaces face the same way where they meet; 1 is everywhere the same direction.",
+        0.95, 0.9, True, AS_SURFACES,
+        "The surface is bumpier or flatter than the head, which shading shows: smooth the mesh or train longer.",
+        COSINE, "Mean cosine between normals of nearest points, both ways.",
+    ),
+    *(
+        Definition(
+            f"f_score_{limit:g}mm", f"F-score at {limit:g} mm", "",
+            f"The share of both surfaces that lies within {limit:g} mm of the other; 1 is all of both.",
+            passes, warns, True, AS_SURFACES, _SCORE, SHARE,
+            f"Harmonic mean of the shares of points, each way, within {limit:g} mm; 0 when both are 0.",
+            finding=finding,
+        )
+        for limit, passes, warns, finding in (
+            (1.0, 0.5, 0.3, Finding(0.95, 3)), (2.0, 0.8, 0.6, None), (5.0, 0.95, 0.9, None),
+        )
+    ),
+    Definition(
+        "face_accuracy_mm", "face crop, accuracy: field to reference", "mm",
+        "The mean distance of the field's surface from the reference within the face alone.",
+        1.5, 3.0, False, FACE_CROP, _FAR, NOT_NEGATIVE, "Accuracy of the field's points in the crop.",
+    ),
+    Definition(
+        "face_completeness_mm", "face crop, completeness: reference to field", "mm",
+        "The mean distance of the reference from the field's surface within the face alone.",
+        1.5, 3.0, False, FACE_CROP, _LACKING, NOT_NEGATIVE, "Completeness of the reference's points in the crop.",
+    ),
+    Definition(
+        "face_chamfer_mm", "face crop, Chamfer distance", "mm",
+        "The mean distance between both surfaces within the face alone, measured both ways.",
+        1.5, 3.0, False, FACE_CROP,
+        "The face is off by more than hair and neck could explain: look at the error mesh, and at the distance after a "
+        "rigid fit to tell position from shape.",
+        NOT_NEGATIVE, "Mean of the two.", finding=Finding(0.3, 2),
+    ),
+    Definition(
+        "face_chamfer_aligned_mm", "face crop, Chamfer distance after a rigid fit of it", "mm",
+        "The same distance after the face is moved and turned onto the reference, so that the face's shape alone "
+        "counts.",
+        1.0, 2.0, False, FACE_CROP, _FITTED, NOT_NEGATIVE, "Chamfer distance after a rigid fit of the crop.",
+        finding=Finding(0.15, 2),
+    ),
+    Definition(
+        "frame_shift_mm", "frame shift", "mm",
+        "How far the whole head lies from where the reference head is.",
+        1.0, 2.0, False, FRAME_AND_EYES,
+        "The head is misplaced in the world, which shifts everything measured against the reference: check the cameras "
+        "of the training data.",
+        NOT_NEGATIVE, "Shift, at the world's origin, of the similarity fit of the field to the reference.",
+        finding=Finding(0.3, 2),
+    ),
+    Definition(
+        "frame_turn_deg", "frame turn", "deg",
+        "By how much the whole head is turned against the reference head.",
+        0.5, 1.0, False, FRAME_AND_EYES,
+        "The head is turned, so gazes measured in the world are off by as much: check the cameras' poses and the "
+        "head-pose convention of the training data.",
+        NOT_NEGATIVE, "Angle of that fit's rotation.", finding=Finding(0.25, 2),
+    ),
+    Definition(
+        "scale_percent", "size difference, absolute", "%",
+        "By how many per cent the head is larger or smaller than the reference head.",
+        1.0, 2.0, False, FRAME_AND_EYES,
+        "Exported meshes will have a wrong size: check the unit of the data and metres_per_unit of the checkpoint.",
+        NOT_NEGATIVE,
+        "Absolute difference in size by that fit; `surfaces` in report.json has the sign, positive where the field is "
+        "larger.",
+        finding=Finding(0.3, 2),
+    ),
+    Definition(
+        "eye_centre_mm", "eyeball centre, the worse eye", "mm",
+        "How far the centre of an eyeball lies from the head model's, for the eye that is worse.",
+        1.0, 2.0, False, FRAME_AND_EYES,
+        "A rig that turns the eyes about the head model's centres will show gaps at the lids, and the measured gaze is "
+        "biased: fit the head model again or use the fitted centres.",
+        NOT_NEGATIVE,
+        "Distance between centres of spheres of the head model's eyeball radius, fitted to the field's and to the "
+        "reference's points where the reference shows an eye; the worse eye.",
+        finding=Finding(0.3, 2),
+    ),
+)  # fmt: skip
+"""Field against the reference as surfaces: distances, in the face crop too, and how field and head model differ."""
+
 
 LEFT_EYE, RIGHT_EYE = EYE_LEFT + 1, EYE_RIGHT + 1
 """Values of `ReferenceView.parts`."""

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from gazenerf.geometry import Camera
+from gazenerf.viz.metrics.definitions import NOT_NEGATIVE, SHARE, Definition
 from gazenerf.viz.pictures.colormaps import to_uint8
 
 THRESHOLDS_PX = (2.0, 4.0, 8.0)
@@ -27,6 +28,46 @@ RATIO = 0.75
 
 NEAR_DEGREES = 30.0
 """Largest angle between the optical axes of neighbours."""
+
+
+CAMERAS = "Pictures against their cameras"
+
+_TSED_ADVICE = (
+    "The pictures do not show one scene from the given cameras: look at the matches drawn in red and at the pairs with "
+    "few matches, and check the cameras first."
+)
+_SHARES = (0.9, 0.7), (0.95, 0.8), (0.98, 0.9)
+
+DEFINITIONS = (
+    *(
+        Definition(
+            f"tsed_{threshold:g}px",
+            f"TSED at {threshold:g} px" + (": consistent pairs, share" if threshold == THRESHOLDS_PX[0] else ""), "",
+            f"The share of neighbouring pictures whose matched features lie within {threshold:g} px of where the "
+            "cameras allow them (their epipolar lines).",
+            passes, warns, True, CAMERAS, _TSED_ADVICE, SHARE,
+            f"Share of pairs with at least {MIN_MATCHES} SIFT matches whose median symmetric epipolar distance is "
+            f"below {threshold:g} px.",
+            checks=("field", "frames"),
+        )
+        for threshold, (passes, warns) in zip(THRESHOLDS_PX, _SHARES, strict=True)
+    ),
+    Definition(
+        "tsed_median_px", "distance from the epipolar lines, median", "px",
+        "How far matched features of neighbouring pictures lie from where the cameras allow them.",
+        1.0, 2.0, False, CAMERAS, _TSED_ADVICE, NOT_NEGATIVE,
+        f"Median, over pairs with at least {MIN_MATCHES} matches, of their median symmetric epipolar distance.",
+        checks=("field", "frames"),
+    ),
+    Definition(
+        "tsed_matches", "matches per pair, median", "",
+        "How many features could be matched between two neighbouring pictures.",
+        20.0, 10.0, True, CAMERAS,
+        "There is too little texture to judge by, so TSED and COLMAP say little: measure larger pictures (--size).",
+        NOT_NEGATIVE, "Median number of matches per pair.", checks=("field", "frames"),
+    ),
+)  # fmt: skip
+"""Thresholded symmetric epipolar distance (Yu et al. 2023)."""
 
 
 @dataclass(frozen=True)

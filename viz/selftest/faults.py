@@ -16,54 +16,11 @@ from gazenerf.geometry import Gaze
 from gazenerf.head_model.interface import HeadMesh
 from gazenerf.viz.check.field import check_subject
 from gazenerf.viz.metrics.definitions import Metric
+from gazenerf.viz.metrics.families import FAULT_DEFINITIONS
 from gazenerf.viz.selftest.exact_scene import SmoothScene, moved_mesh, scene_mesh
 
-FINDINGS: dict[str, tuple[float, int]] = {
-    "depth_median_mm": (0.3, 2),
-    "silhouette_iou": (0.995, 3),
-    "normal_median_deg": (0.3, 2),
-    "blemish_mm2": (20.0, 0),
-    "chamfer_mm": (0.3, 2),
-    "chamfer_aligned_mm": (0.15, 2),
-    "face_chamfer_mm": (0.3, 2),
-    "face_chamfer_aligned_mm": (0.15, 2),
-    "f_score_1mm": (0.95, 3),
-    "frame_shift_mm": (0.3, 2),
-    "frame_turn_deg": (0.25, 2),
-    "scale_percent": (0.3, 2),
-    "eye_centre_mm": (0.3, 2),
-    "reprojection": (0.985, 3),
-    "round_trip_px": (0.1, 2),
-    "warp_psnr": (40.0, 1),
-    "warp_long_psnr": (40.0, 1),
-    "warp_worst_psnr": (38.0, 1),
-    "warp_long_eye_region_psnr": (32.0, 1),
-    "reprojection_face": (0.985, 3),
-    "warp_psnr_face": (40.0, 1),
-    "reprojection_eyes": (0.985, 3),
-    "warp_psnr_eyes": (27.0, 1),
-    "warp_long_psnr_eyes": (26.0, 1),
-    "picture_iou": (0.995, 3),
-    "outline_shift_px": (0.3, 2),
-    "picture_shift_px": (0.5, 2),
-    "unfollowed_share": (0.2, 3),
-    "screen_stuck": (0.3, 3),
-    "gaze_error_deg": (0.5, 2),
-    "gaze_bias_deg": (0.5, 2),
-    "gaze_spread_deg": (0.5, 2),
-    "gaze_slope": (0.05, 3),
-    "gaze_crosstalk": (0.05, 3),
-    "gaze_nonlinear_deg": (0.5, 2),
-    "eye_drift_mm": (0.2, 2),
-    "eye_radius_drift_mm": (0.2, 2),
-    "eye_distance_mm": (0.2, 2),
-    "pose_change_mm": (0.2, 2),
-    "pose_change_deg": (0.2, 2),
-    "face_change_psnr": (40.0, 1),
-}
-"""Metric to the threshold beyond which a value of the exact scene is a finding, and the decimals shown.
-
-The scene has no noise of its own, so these are closer than the thresholds for trained fields."""
+FINDINGS = {one.name: one.finding for one in FAULT_DEFINITIONS if one.finding is not None}
+"""Metric to the limit beyond which a value of the exact scene is a finding, and the decimals shown."""
 
 
 @dataclass(frozen=True)
@@ -174,7 +131,7 @@ def read_gauges(
 
 def findings(metrics: dict[str, Metric]) -> set[str]:
     """Names of the metrics that are worse than their threshold in `FINDINGS`."""
-    return {name for name, metric in metrics.items() if metric.crosses(FINDINGS[name][0])}
+    return {name for name, metric in metrics.items() if metric.crosses(FINDINGS[name].limit)}
 
 
 def table(size: int = 192, seed: int = 0) -> str:
@@ -182,14 +139,14 @@ def table(size: int = 192, seed: int = 0) -> str:
     readings = {name: read_gauges(fault, size=size, seed=seed) for name, fault in FAULTS.items()}
     head = ["metric", "finding", *readings]
     lines = [head, ["---"] * len(head)]
-    for name, (limit, decimals) in FINDINGS.items():
+    for name, finding in FINDINGS.items():
         cells = []
         for metrics in readings.values():
             value = metrics[name].value
-            text = f"{value:.{decimals}f}" if np.isfinite(value) else "none"
+            text = f"{value:.{finding.decimals}f}" if np.isfinite(value) else "none"
             cells.append(f"**{text}**" if name in findings(metrics) else text)
-        sign = "<" if readings["none"][name].higher_is_better else ">"
-        lines.append([f"`{name}`", f"{sign} {limit:g}", *cells])
+        sign = "<" if readings["none"][name].definition.higher_is_better else ">"
+        lines.append([f"`{name}`", f"{sign} {finding.limit:g}", *cells])
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 

@@ -14,8 +14,9 @@ from gazenerf.errors import UserError
 from gazenerf.geometry import Camera
 from gazenerf.head_model import HeadMesh
 from gazenerf.heads.analytic import AnalyticField
-from gazenerf.viz.check.field import Metric, check_cameras, check_mesh, check_subject
+from gazenerf.viz.check.field import check_cameras, check_mesh, check_subject
 from gazenerf.viz.metrics.agreement import blemish_mm2, compare, eroded
+from gazenerf.viz.metrics.definitions import Definition, Metric
 from gazenerf.viz.metrics.reprojection import reproject
 from gazenerf.viz.metrics.surfaces import SURFACE_GAUGES
 from gazenerf.viz.reference.views import RENDERERS, render_reference, usable
@@ -219,12 +220,21 @@ def test_a_blemish_is_an_area_and_the_silhouettes_rim_is_none(field):
 
 
 def test_metrics_judge_both_directions():
-    small = Metric("a", "a", "mm", 2.0, 1.0, 3.0)
+    small = Metric(Definition("a", "a", "mm", "A.", 1.0, 3.0), 2.0)
     assert small.verdict == "warn" and small.crosses(1.5) and not small.crosses(2.5)
-    large = Metric("b", "b", "", 0.9, 0.95, 0.85, True)
+    large = Metric(Definition("b", "b", "", "B.", 0.95, 0.85, True), 0.9)
     assert large.verdict == "warn" and large.crosses(0.95) and not large.crosses(0.85)
-    assert Metric("c", "c", "", float("nan"), 1, 2).verdict == "unmeasured"
-    assert Metric("c", "c", "", float("nan"), 1, 2).crosses(5)
+    unknown = Metric(Definition("c", "c", "", "C.", 1, 2), float("nan"))
+    assert unknown.verdict == "unmeasured" and unknown.crosses(5)
+
+
+def test_no_interval_leaves_what_its_values_can_be():
+    share = Definition("s", "s", "", "S.", 0.9, 0.7, True, bounds=(0.0, 1.0))
+    assert Metric(share, 0.98, 0.05).interval == pytest.approx((0.93, 1.0))
+    assert Metric(share, 0.5, 0.1).interval == pytest.approx((0.4, 0.6))
+    assert np.isnan(Metric(share, 0.5).interval).all() and np.isnan(Metric(share).interval).all()
+    distance = Definition("d", "d", "mm", "D.", 1.0, 2.0, bounds=(0.0, np.inf))
+    assert Metric(distance, 0.5, 2.0).interval == (0.0, 2.5)
 
 
 def test_heat_maps_show_sign_and_holes():

@@ -18,8 +18,8 @@ from gazenerf.viz.check import frames_check
 from gazenerf.viz.check.frames import FrameFolder, read_frames
 from gazenerf.viz.check.frames_check import FramesResult, check_frames, epipolar_strip
 from gazenerf.viz.metrics.colmap import StructureFromMotion
+from gazenerf.viz.metrics.families import FRAMES_VERSION
 from gazenerf.viz.metrics.orbit_pictures import match_picture
-
 from tests.textured_double import TexturedField
 
 ORBIT = [Camera.orbit(np.deg2rad(yaw), np.deg2rad(5.0), size=128) for yaw in range(-40, 41, 8)]
@@ -72,7 +72,7 @@ def test_exact_frames_are_perfect(exact):
 
 def test_numbers_are_json_with_every_pair(exact):
     data = json.loads(json.dumps(exact.to_dict(), allow_nan=False))
-    assert data["definitions"] == frames_check.DEFINITIONS
+    assert data["definitions"] == FRAMES_VERSION
     assert len(data["tsed_pairs"]) == len(exact.tsed.pairs) and len(data["warps"]) == len(exact.warps)
     assert data["tsed_pairs"][0]["a"] == "images/0.png" and data["about"]["depth_frames"] == len(ORBIT)
     assert exact.metric("tsed_2px").verdict == "pass"

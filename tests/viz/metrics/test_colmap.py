@@ -10,7 +10,6 @@ import pytest
 from gazenerf.geometry import Camera
 from gazenerf.viz.metrics import colmap as colmap_check
 from gazenerf.viz.metrics.colmap import middle_of_attention, run_colmap, similarity, unavailable
-
 from tests.textured_double import TexturedField
 
 ORBIT = [

@@ -9,15 +9,14 @@ import pytest
 from gazenerf.viz.check.result import CheckResult
 from gazenerf.viz.metrics import orbit_pictures as picture_gauges
 from gazenerf.viz.metrics.colmap import NO_MODEL, StructureFromMotion
-from gazenerf.viz.metrics.definitions import GAUGES
+from gazenerf.viz.metrics.families import CHECK_DEFINITIONS, measured
 from gazenerf.viz.metrics.orbit_pictures import measure_orbit, share_interval
-
 from tests.textured_double import TexturedField
 
 
 @pytest.fixture
 def empty() -> CheckResult:
-    return CheckResult(GAUGES, (), (), (), {}, extra={"other": 1}, notes=("before",))
+    return CheckResult(measured(CHECK_DEFINITIONS), (), (), (), {}, extra={"other": 1}, notes=("before",))
 
 
 def test_an_exact_field_is_perfect_and_keeps_what_was_there(empty):

@@ -10,7 +10,6 @@ import pytest
 from gazenerf.geometry import Camera
 from gazenerf.heads.analytic import AnalyticField
 from gazenerf.viz.metrics.tsed import MIN_MATCHES, fundamental, measure_tsed, neighbours, symmetric_epipolar_distance
-
 from tests.textured_double import TexturedField
 
 ORBIT = [Camera.orbit(np.deg2rad(yaw), np.deg2rad(5.0), size=160) for yaw in range(-24, 25, 8)]

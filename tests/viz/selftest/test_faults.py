@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from gazenerf.viz.metrics.definitions import GAUGES, Metric
+from gazenerf.viz.metrics.definitions import Metric
+from gazenerf.viz.metrics.families import CHECK_DEFINITIONS, FAULT_DEFINITIONS
 from gazenerf.viz.reference.views import usable
 from gazenerf.viz.selftest.faults import FAULTS, FINDINGS, Fault, findings, read_gauges, table
 
@@ -159,7 +162,7 @@ def swept(renderer) -> dict[str, dict[str, Metric]]:
 
 def test_every_fault_is_expected_to_be_found():
     assert set(VIEW_FAULTS) | set(EYE_FAULTS) == set(FAULTS)
-    assert set(FINDINGS) <= {gauge.name for gauge in GAUGES}
+    assert set(FINDINGS) <= {one.name for one in CHECK_DEFINITIONS}
     assert set(FINDINGS) >= FRAME | VIEWS | PICTURE | EYES
 
 
@@ -190,11 +193,11 @@ def test_every_gauge_finds_some_fault(still, swept):
 
 def test_the_table_marks_findings(monkeypatch):
     read = {
-        name: Metric(name, name, "", 0.0 if not better else 199.0, 0.0, 0.0, better)
-        for name, better in ((gauge.name, gauge.higher_is_better) for gauge in GAUGES)
-        if name in FINDINGS
+        one.name: Metric(one, 199.0 if one.higher_is_better else 0.0)
+        for one in CHECK_DEFINITIONS
+        if one.name in FINDINGS
     }
-    bad = read | {"frame_turn_deg": Metric("frame_turn_deg", "", "deg", 0.5, 0.0, 0.0)}
+    bad = read | {"frame_turn_deg": replace(read["frame_turn_deg"], value=0.5)}
     turned = Fault({"camera_turn": 1.0})
     monkeypatch.setattr("gazenerf.viz.selftest.faults.FAULTS", {"none": Fault(), "turned": turned})
     monkeypatch.setattr(
