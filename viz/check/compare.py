@@ -1,21 +1,19 @@
-"""Two runs of `gazenerf check` side by side, differences judged against the error bars."""
+"""Two reports of `gazenerf check` side by side, differences judged against the error bars."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from gazenerf.errors import UserError
-from gazenerf.files import read_json, whole_file
-from gazenerf.viz.metrics.definitions import Metric
-from gazenerf.viz.report.page import counts, escape, number, page, pill, with_error
+from gazenerf.files import read_json
+from gazenerf.viz.metrics.definitions import ANY, Definition, Metric
+from gazenerf.viz.metrics.families import FRAMES_VERSION, of_check
 
-PAGE = "compare.html"
 MAX_BYTES = 32 * 2**20
 BETTER, WORSE, SAME, UNSURE, MISSING = "better", "worse", "same", "no error bar", "not in both"
-COLOURS = {BETTER: "pass", WORSE: "fail", SAME: "unmeasured", UNSURE: "warn", MISSING: "unmeasured"}
 
 
 @dataclass(frozen=True)
@@ -50,7 +48,7 @@ class Row:
             return UNSURE
         if abs(self.change) <= self.bar:
             return SAME
-        return BETTER if (self.change > 0) == self.a.higher_is_better else WORSE
+        return BETTER if (self.change > 0) == self.a.definition.higher_is_better else WORSE
 
 
 @dataclass(frozen=True)
@@ -95,7 +93,7 @@ def compare_reports(a: str | Path, b: str | Path) -> Comparison:
     rows = []
     for name in dict.fromkeys([*mine, *theirs]):
         present = mine.get(name) or theirs[name]
-        absent = Metric(**{**vars(present), "value": math.nan, "error": math.nan})
+        absent = replace(present, value=math.nan, error=math.nan)
         rows.append(Row(mine.get(name, absent), theirs.get(name, absent)))
     about = (first["about"], second["about"])
     differing = tuple(
@@ -122,97 +120,33 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _metrics(data: dict[str, Any]) -> list[Metric]:
-    found = []
-    for entry in data["metrics"]:
-        try:
-            value, passes, warns, error, reference = (
-                math.nan if entry.get(key) is None else float(entry[key])
-                for key in ("value", "passes", "warns", "error", "reference")
-            )
-            name, label, unit, group = (str(entry.get(key, "")) for key in ("name", "label", "unit", "group"))
-            higher = bool(entry["higher_is_better"])
-            found.append(Metric(name, label, unit, value, passes, warns, higher, group, error, reference))
-        except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
-            raise UserError(
-                f"{data['path']} holds a metric that cannot be read; was it written by another program?"
-            ) from error
-    return found
+    known = {one.name: one for one in of_check("frames" if data["definitions"] == FRAMES_VERSION else "field")}
+    try:
+        return [_metric(entry, known.get(str(entry["name"]))) for entry in data["metrics"]]
+    except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
+        raise UserError(
+            f"{data['path']} holds a metric that cannot be read; was it written by another program?"
+        ) from error
 
 
-def terminal_rows(comparison: Comparison) -> list[tuple[str, str, str, str, str]]:
-    """Label, both values, change, judgement of every metric that either run measured."""
-    return [
-        (row.a.label, _plain(row.a), _plain(row.b), change_text(row), row.judgement)
-        for row in comparison.rows
-        if math.isfinite(row.a.value) or math.isfinite(row.b.value)
-    ]
-
-
-def change_text(row: Row) -> str:
-    """The change with its sign and error bar."""
-    if not math.isfinite(row.change):
-        return ""
-    bar = f" ± {number(row.bar)}" if math.isfinite(row.bar) else ""
-    return f"{'+' if row.change > 0 else ''}{number(row.change)}{bar}"
-
-
-def _plain(metric: Metric) -> str:
-    bar = f" ± {number(metric.error)}" if math.isfinite(metric.error) and math.isfinite(metric.value) else ""
-    return f"{number(metric.value)}{bar} {metric.unit}".strip() if math.isfinite(metric.value) else "–"
-
-
-def summary(comparison: Comparison) -> str:
-    """How the second run stands to the first, in one line."""
-    found = [row.judgement for row in comparison.rows]
-    return ", ".join(f"{found.count(kind)} {kind}" for kind in COLOURS if kind in found)
-
-
-def render_comparison(comparison: Comparison) -> str:
-    """The comparison as a self-contained page."""
-    groups = dict.fromkeys(row.a.group for row in comparison.rows)
-    body = []
-    for group in groups:
-        rows = [row for row in comparison.rows if row.a.group == group and row.judgement != MISSING]
-        if rows:
-            body.append(f"<tr class=g><th colspan=5 scope=rowgroup>{escape(group)}</th></tr>")
-            body += [_row(row) for row in rows]
-    absent = [row.a.label for row in comparison.rows if row.judgement == MISSING]
-    first, second = (escape(name) for name in comparison.names)
-    unfair = "".join(f"<li>{escape(text)}</li>" for text in comparison.differences)
-    sides = "".join(
-        f"<h3>{name}: {escape(str(about.get('subject', '')))}</h3>"
-        f"<p class=quiet>weights {escape(str(about.get('weights_sha256_16', 'unknown')))}</p>"
-        f"{counts([metric(row) for row in comparison.rows])}"
-        for name, about, metric in (
-            (first, comparison.about[0], lambda row: row.a),
-            (second, comparison.about[1], lambda row: row.b),
-        )
+def _metric(entry: dict[str, Any], known: Definition | None) -> Metric:
+    """A metric as a report holds it; bounds, and a meaning that it lacks, are those of the definition known here."""
+    value, passes, warns, error, reference = (
+        math.nan if entry.get(key) is None else float(entry[key])
+        for key in ("value", "passes", "warns", "error", "reference")
     )
-    return page(
-        "Two checks compared",
-        f"<h1>{second} against {first}</h1><p>{escape(summary(comparison))}.</p>"
-        "<p class=quiet>Better, worse or same is the second against the first: same where they differ by less than the "
-        "95 % interval of the difference.</p>"
-        + (f"<p>The runs were not made alike, so the comparison may be unfair:</p><ul>{unfair}</ul>" if unfair else "")
-        + f"<div class=scroll><table class=verdict><tr><th>measure</th><th class=n>{first}</th>"
-        f"<th class=n>{second}</th><th class='n wide'>change</th><th>second is</th></tr>{''.join(body)}</table></div>"
-        + (f"<p class=quiet>Not in both: {escape(', '.join(absent))}.</p>" if absent else "")
-        + sides
-        + f"<p class=quiet>Definitions {escape(comparison.definitions)}.</p>",
+    name, label, unit, group, meaning = (
+        str(entry.get(key, "")) for key in ("name", "label", "unit", "group", "meaning")
     )
-
-
-def _row(row: Row) -> str:
-    return (
-        f"<tr><td>{escape(row.a.label)}<code>{escape(row.a.name)}</code></td><td class=n>{with_error(row.a)}</td>"
-        f"<td class=n>{with_error(row.b)}</td><td class='n wide'>{escape(change_text(row))}</td>"
-        f"<td>{pill(COLOURS[row.judgement], row.judgement)}</td></tr>"
+    definition = Definition(
+        name,
+        label,
+        unit,
+        meaning or (known.meaning if known else ""),
+        passes,
+        warns,
+        bool(entry["higher_is_better"]),
+        group,
+        bounds=known.bounds if known else ANY,
     )
-
-
-def write_comparison(comparison: Comparison, out: str | Path) -> Path:
-    """Write the page: to `out` where it ends in .html, else to compare.html in the folder `out`."""
-    path = Path(out) if Path(out).suffix == ".html" else Path(out) / PAGE
-    with whole_file(path) as temporary:
-        temporary.write_text(render_comparison(comparison), encoding="utf-8")
-    return path
+    return Metric(definition, value, error, reference)

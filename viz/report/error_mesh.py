@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +16,7 @@ from gazenerf.export.surface.density_surface import density_surface
 from gazenerf.export.surface.isosurface import METHODS
 from gazenerf.head_model import HeadMesh
 from gazenerf.heads.interface import BoundField
+from gazenerf.progress import Progress, silent
 from gazenerf.viz.report.heatmaps import signed_colours
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def error_mesh(
     *,
     resolution: int = RESOLUTION,
     threshold: str | float = "auto",
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress = silent,
 ) -> ErrorMesh:
     """Colour the field's surface and the reference by their distance from each other.
 
@@ -88,18 +88,16 @@ def error_mesh(
         bound: The field.
         mesh: The reference at the same gaze.
         resolution, threshold: Of the field's surface, see `density_surface`.
-        progress: Called with (steps done, all steps) of sampling the density.
+        progress: Told how far the sampling of the density is.
 
     Raises:
         UserError: the field has no surface.
     """
     import trimesh
 
-    def tell(stage: str, done: int, total: int) -> None:
-        if progress is not None:
-            progress(done, total)
-
-    surface = density_surface(bound, "head", resolution=resolution, threshold=threshold, method=METHODS[0], tell=tell)
+    surface = density_surface(
+        bound, "head", resolution=resolution, threshold=threshold, method=METHODS[0], tell=progress
+    )
     field = surface.mesh
     reference = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     mm = 1000.0 * bound.metres_per_unit

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
-from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,24 +12,20 @@ from gazenerf.errors import UserError
 from gazenerf.viz.check.compare import (
     BETTER,
     MISSING,
-    PAGE,
     SAME,
     UNSURE,
     WORSE,
     compare_reports,
-    summary,
-    terminal_rows,
-    write_comparison,
 )
-from gazenerf.viz.metrics.definitions import GAUGES
+from gazenerf.viz.metrics.families import CHECK_DEFINITIONS, measured
 
 
 def report(folder: Path, values: dict[str, tuple[float | None, float | None]], **changes: Any) -> Path:
     """A report.json with some metrics' (value, error)."""
     metrics = []
-    for gauge in GAUGES:
-        value, error = values.get(gauge.name, (None, None))
-        metrics.append({**asdict(replace(gauge)), "value": value, "error": error, "reference": None})
+    for metric in measured(CHECK_DEFINITIONS):
+        value, error = values.get(metric.name, (None, None))
+        metrics.append({**metric.to_dict(), "value": value, "error": error, "reference": None})
     about = {"subject": "<i>ada</i>", "size_px": 256, "weights_sha256_16": "w1"} | changes.pop("about", {})
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "report.json"
@@ -56,22 +50,6 @@ def test_changes_are_judged_by_their_error_bars_and_direction(tmp_path):
     assert judged["silhouette_iou"] == BETTER and judged["chamfer_mm"] == SAME
     assert judged["f_score_1mm"] == UNSURE and judged["scale_percent"] == SAME
     assert judged["warp_psnr"] == judged["frame_turn_deg"] == judged["normal_median_deg"] == MISSING
-    assert summary(found).startswith("1 better, 1 worse, 2 same, 1 no error bar")
-    rows = {row[0]: row[1:] for row in terminal_rows(found)}
-    assert rows["depth error, median"] == ("1.000 ± 0.100 mm", "1.300 ± 0.100 mm", "+0.300 ± 0.141", WORSE)
-    assert rows["frame turn"][1] == "–" and "normal error, median" not in rows
-
-
-def test_the_page_is_whole_and_names_unfair_settings(tmp_path):
-    b = report(tmp_path / "b", SECOND, about={"size_px": 128})
-    found = compare_reports(report(tmp_path / "a", FIRST).parent, b)
-    assert found.differences == ("size_px: 256 and 128",)
-    page = write_comparison(found, tmp_path / "out")
-    text = page.read_text()
-    assert page == tmp_path / "out" / PAGE and "size_px: 256 and 128" in text
-    assert "&lt;i&gt;ada" in text and not re.search(r"<i>ada|https?:", text)
-    assert text.count(">worse</span>") == 1 and text.count(">better</span>") == 1
-    assert write_comparison(found, tmp_path / "other.html") == tmp_path / "other.html"
 
 
 def test_other_definitions_and_files_that_are_no_reports_are_refused(tmp_path):
