@@ -27,7 +27,7 @@ RESOLUTION = 128
 """Grid points along the longest side of the field's surface."""
 
 GIVE_UP_MM = 15.0
-"""Farther from everything on the other side there is nothing to compare with; such vertices are grey."""
+"""Vertices farther than this from the other surface are not compared and are grey."""
 
 LIMIT_MM = 3.0
 """Distances beyond this take the end colours."""
@@ -40,11 +40,11 @@ BESIDE_M = 0.3
 
 @dataclass(frozen=True)
 class ErrorMesh:
-    """Two coloured surfaces, world units, in one place.
+    """Two coloured surfaces in world units, one over the other.
 
     Attributes:
         field, reference: With vertex colours: white where both agree, blue where the field stands out of the reference,
-            red where it lies too deep, grey where the other side has nothing.
+            red where it lies too deep, grey where there is nothing to compare with.
         field_mm, reference_mm: (V,) signed distances, millimetres, positive where the field stands out; NaN where grey.
         threshold: Density of the field's surface.
     """
@@ -122,7 +122,7 @@ def signed_distance(points: np.ndarray, surface: trimesh.Trimesh) -> np.ndarray:
 
 
 def write_error_mesh(error: ErrorMesh, bound: BoundField, folder: Path) -> dict[str, Any]:
-    """Write `error.glb` (metres, Y up) to a folder; what a report says of it."""
+    """Write `error.glb` (metres, Y up) to a folder and return the facts for report.json."""
     scale = bound.metres_per_unit
     nodes = Node(
         "error",

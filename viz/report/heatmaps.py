@@ -1,4 +1,4 @@
-"""Pictures of where two opinions differ."""
+"""Pictures of where the field and the reference differ."""
 
 from __future__ import annotations
 

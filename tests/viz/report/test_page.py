@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import html
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from gazenerf.viz.report import page
 from gazenerf.viz.report.blocks import (
     Beyond,
     Block,
@@ -71,6 +74,16 @@ def test_no_text_becomes_markup_or_a_template():
     assert "<script>alert" not in hostile and 'onload="x' not in hostile and "123000" not in hostile
     assert hostile.count("<") == plain.count("<"), "a text adds no tag"
     assert html.unescape(hostile).count(HOSTILE) == plain.count("harmless") - 2, "all but the section's anchor and link"
+
+
+def test_python_holds_no_markup_and_no_template_lets_text_through_unescaped():
+    folder = Path(page.__file__).parent
+    tag = re.compile(r"</?(p|div|span|b|ul|li|table|tr|t[hd]|h\d|figure|img|section|details|svg|text|line|a)\b[^`]*>")
+    found = [path.name for path in folder.glob("*.py") if tag.search(path.read_text())]
+    assert not found, found
+    templates = list((folder / "templates").glob("*.html"))
+    assert len(templates) == 3
+    assert not [path.name for path in templates if re.search(r"\|\s*safe|autoescape", path.read_text())]
 
 
 def test_sections_are_in_the_table_of_contents_and_folded_blocks_open_on_a_click():
