@@ -6,7 +6,7 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -33,6 +33,23 @@ def read_json(path: Path, most_bytes: int, *, absent: str, large: str) -> Any:
         raise UserError(f"{path} does not exist; {absent}") from error
     except (OSError, ValueError, RecursionError) as error:
         raise UserError(f"{path} cannot be read as JSON: {str(error)[:120]}") from error
+
+
+def refuse_existing(paths: Iterable[str | os.PathLike[str]], overwrite: bool) -> None:
+    """Refuse to replace output that nobody said may be replaced.
+
+    Args:
+        paths: Files, or folders that count as taken when something is in them.
+        overwrite: Whether they may be replaced.
+
+    Raises:
+        UserError: one of them is taken.
+    """
+    if overwrite:
+        return
+    for path in map(Path, paths):
+        if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+            raise UserError(f"{path} exists; add --overwrite or choose another --out")
 
 
 @contextmanager

@@ -1,96 +1,26 @@
-"""What commands share: source and gaze arguments, a progress line, one-line warnings and the closing table."""
+"""What commands share: a progress line, one-line warnings and the closing table."""
 
 from __future__ import annotations
 
-import argparse
-import math
 import sys
-import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import Progress as ProgressLine
 from rich.table import Table
 
-from gazenerf.errors import UserError
-
-if TYPE_CHECKING:
-    from gazenerf.geometry import Gaze
-    from gazenerf.heads.interface import BoundField
-    from gazenerf.subjects import Subject
-
-
-def add_source_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add --subject and --checkpoint, both defaulting to what is bundled."""
-    parser.add_argument(
-        "--subject",
-        metavar="S",
-        help="a bundled name or a subject file (default: the first bundled; see `gazenerf subjects`)",
-    )
-    parser.add_argument("--checkpoint", type=Path, metavar="FILE", help="weights (default: the bundled field)")
-
-
-def add_gaze_argument(parser: argparse.ArgumentParser) -> None:
-    """Add --gaze PITCH YAW in degrees, straight ahead by default."""
-    parser.add_argument(
-        "--gaze",
-        nargs=2,
-        type=float,
-        default=(0.0, 0.0),
-        metavar=("PITCH", "YAW"),
-        help="where the eyes look, degrees: pitch up, yaw to the subject's left (default: 0 0)",
-    )
-
-
-def checked_gaze(angles: tuple[float, float] | list[float]) -> Gaze:
-    """A gaze from (pitch, yaw) in degrees.
-
-    Raises:
-        UserError: an angle is not finite, or 90 degrees or more.
-    """
-    from gazenerf.geometry import Gaze
-
-    pitch, yaw = angles
-    if not all(math.isfinite(angle) and abs(angle) < 90.0 for angle in (pitch, yaw)):
-        raise UserError(f"--gaze {pitch:g} {yaw:g}: both angles must lie between -90 and 90 degrees")
-    return Gaze.from_degrees(pitch, yaw)
-
-
-def load_bound_factory(args: argparse.Namespace) -> tuple[Subject, Callable[[Gaze], BoundField]]:
-    """The subject that the arguments name and a function that binds it to a gaze.
-
-    Binding warns once when a gaze is beyond what the field was trained on.
-
-    Raises:
-        UserError: the field or the subject cannot be read or do not fit, or nothing is bundled.
-    """
-    from gazenerf.cli.views import beyond_training, binder, load_scene
-
-    field, subject = load_scene(args)
-    quietly = binder(field, subject)
-    warned = False
-
-    def bind(gaze: Gaze) -> BoundField:
-        nonlocal warned
-        if not warned and (note := beyond_training(field, [gaze])):
-            warned = True
-            warnings.warn(note, stacklevel=2)
-        return quietly(gaze)
-
-    return subject, bind
+from gazenerf.progress import Progress
 
 
 @contextmanager
-def progress(title: str, total: int, show: bool = True) -> Iterator[Callable[..., None]]:
+def showing_progress(show: bool = True) -> Iterator[Progress]:
     """A progress line on standard error, with rate and time left; quiet when nobody watches or unless `show`.
 
-    Yields:
-        A function `advance(steps, note="", total=None)`; a total replaces the one before.
+    A new stage starts the line anew; what follows a comma in its name is a note that may change.
     """
-    console = Console(stderr=True)
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -99,17 +29,28 @@ def progress(title: str, total: int, show: bool = True) -> Iterator[Callable[...
         TimeElapsedColumn(),
         TextColumn("left"),
         TimeRemainingColumn(),
-        TextColumn("{task.fields[note]}"),
     )
-    with Progress(*columns, console=console, disable=not (show and sys.stderr.isatty()), transient=True) as bar:
-        task = bar.add_task(title, total=total, rate="", note="")
+    console = Console(stderr=True)
+    with ProgressLine(*columns, console=console, disable=not (show and sys.stderr.isatty()), transient=True) as bar:
+        task = bar.add_task("", total=None, rate="")
+        current = ""
 
-        def advance(steps: int = 1, note: str = "", total: int | None = None) -> None:
-            bar.update(task, advance=steps, note=note, total=total)
+        def tell(stage: str, done: int, total: int, /) -> None:
+            nonlocal current, task
+            name = stage.partition(",")[0]
+            if name != current:
+                bar.remove_task(task)
+                task, current = bar.add_task(stage, total=total, rate=""), name
+            bar.update(task, description=stage, completed=done, total=total)
             speed = bar.tasks[0].speed
             bar.update(task, rate="" if speed is None else f"{speed:.2f}/s")
 
-        yield advance
+        yield tell
+
+
+def warn(text: str) -> None:
+    """Print a one-line warning on standard error."""
+    print(f"gazenerf: warning: {' '.join(text.split())}", file=sys.stderr)
 
 
 def summary_table(title: str, rows: Mapping[str, object]) -> None:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import dataclass
+
+from gazenerf.options import option
 
 HELP = "print a shell completion script"
 
@@ -16,18 +19,28 @@ _WHERE = {
 }
 
 
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """What the command takes.
+
+    Attributes:
+        shell: One of `SHELLS`.
+    """
+
+    shell: str = option(help="which shell", flag="shell", choices=SHELLS)
+
+
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    parser.add_argument("shell", choices=SHELLS, help="which shell")
+    """Say where the script goes."""
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = "to use it:\n" + "\n".join(f"  {line}" for line in _WHERE.values())
 
 
-def run(args: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """Print the script."""
     import shtab
 
     from gazenerf.cli.main import build_parser
 
-    sys.stdout.write(shtab.complete(build_parser(), shell=args.shell))
+    sys.stdout.write(shtab.complete(build_parser(), shell=options.shell))
     return 0

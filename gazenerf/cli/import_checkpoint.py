@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from gazenerf.errors import UserError
+from gazenerf.options import option
 
 HELP = "convert a published checkpoint without executing it"
 
 
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    parser.add_argument("official", type=Path, metavar="OFFICIAL", help="the published file, written by torch.save")
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE.safetensors", help="the field to write")
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """What the command takes.
+
+    Attributes:
+        official: The published file.
+        out: The field to write.
+    """
+
+    official: Path = option(help="the published file, written by torch.save", flag="official", metavar="OFFICIAL")
+    out: Path = option(help="the field to write", metavar="FILE.safetensors")
 
 
-def run(args: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """Write the field, and beside it what the checkpoint learned for each training image."""
     from safetensors.torch import save_file
 
@@ -25,13 +33,13 @@ def run(args: argparse.Namespace) -> int:
     from gazenerf.cli.common import summary_table
     from gazenerf.files import whole_file
 
-    if args.out.suffix != ".safetensors":
-        raise UserError(f"--out {args.out} must end in .safetensors")
-    found = import_official(args.official)
-    save_field(found.field, args.out)
-    rows: dict[str, Any] = {"field": args.out}
+    if options.out.suffix != ".safetensors":
+        raise UserError(f"--out {options.out} must end in .safetensors")
+    found = import_official(options.official)
+    save_field(found.field, options.out)
+    rows: dict[str, Any] = {"field": options.out}
     if found.offsets:
-        beside = args.out.with_suffix(".offsets.safetensors")
+        beside = options.out.with_suffix(".offsets.safetensors")
         with whole_file(beside) as temporary:
             save_file({name: value.contiguous() for name, value in found.offsets.items()}, temporary)
         rows["learned offsets"] = beside
@@ -42,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
         "picture": f"{config.image_size} px from {config.feature_size} px of {config.feature_channels} features",
         "parameters": f"{sum(value.numel() for value in weights.values()):,}",
         "codes": "identity {}, expression {}, texture {}, illumination {}".format(*config.code_sizes),
-        "weights hash": load_field(args.out).weights_hash,
+        "weights hash": load_field(options.out).weights_hash,
     }
     summary_table("imported checkpoint", rows)
     return 0

@@ -12,6 +12,7 @@ from types import ModuleType
 from typing import NoReturn
 
 from gazenerf import __version__
+from gazenerf.cli.parser import add_options, parsed
 from gazenerf.errors import UserError
 
 COMMANDS = {
@@ -43,7 +44,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def load_command(name: str) -> ModuleType:
-    """The module of a command, with `HELP`, `configure(parser)` and `run(args) -> int`.
+    """The module of a command: `HELP`, a dataclass `Options`, `run(options) -> int`, and perhaps `configure(parser)`.
 
     Raises:
         UserError: this installation lacks it.
@@ -82,7 +83,11 @@ def build_parser(configured: Iterable[str] | None = None) -> argparse.ArgumentPa
     for name, line in COMMANDS.items():
         command = commands.add_parser(name, help=line, description=f"{line[0].upper()}{line[1:]}.")
         if name in configured:
-            load_command(name).configure(command)
+            module = load_command(name)
+            if hasattr(module, "Options"):
+                add_options(command, module.Options)
+            if hasattr(module, "configure"):
+                module.configure(command)
     return parser
 
 
@@ -100,7 +105,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     warnings.showwarning = _one_line
     try:
         args = build_parser([asked] if asked in COMMANDS else []).parse_args(words)
-        code = load_command(args.command).run(args)
+        module = load_command(args.command)
+        code = module.run(parsed(module.Options, args) if hasattr(module, "Options") else args)
         sys.stdout.flush()
         return code
     except UserError as error:

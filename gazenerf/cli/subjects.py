@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
+from dataclasses import dataclass
 from typing import Any
+
+from gazenerf.options import option
 
 HELP = "list the bundled subjects"
 
 
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """What the command takes.
+
+    Attributes:
+        json: Print JSON.
+    """
+
+    json: bool = option(False, "print JSON instead of a table")
 
 
-def run(args: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """Print every bundled subject: whether training saw it, its code sizes and where it came from."""
     rows = describe_subjects()
-    if args.json:
+    if options.json:
         json.dump(rows, sys.stdout, indent=2)
         print()
         return 0

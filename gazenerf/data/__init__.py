@@ -2,6 +2,6 @@
 
 from gazenerf.data.captures import Capture
 from gazenerf.data.storage import CaptureSet
-from gazenerf.data.synthesis import synthesize
+from gazenerf.data.synthesis import SynthesizeOptions, synthesize
 
-__all__ = ["Capture", "CaptureSet", "synthesize"]
+__all__ = ["Capture", "CaptureSet", "SynthesizeOptions", "synthesize"]

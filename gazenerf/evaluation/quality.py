@@ -11,11 +11,13 @@ import torch
 
 from gazenerf.data.captures import Capture
 from gazenerf.evaluation.iris import GazeReading, iris_cameras, iris_gaze
-from gazenerf.evaluation.surface import MeshDistance, depth_errors, halved_depth, silhouette_iou, surface_points
+from gazenerf.evaluation.surface import SurfaceDistance, depth_errors, halved_depth, silhouette_iou, surface_points
 from gazenerf.field.model import TwoStreamField
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model.interface import HeadModel
+from gazenerf.heads import BoundField, Head
 from gazenerf.image_metrics import eye_crops, psnr, ssim
+from gazenerf.progress import Progress, silent
 from gazenerf.subjects import Codes, Subject
 from gazenerf.training.gaze_training import VISIBLE_SHARE
 
@@ -85,7 +87,7 @@ def evaluate_field(
     unseen_people: Collection[int] = (),
     iris_gazes: Sequence[tuple[float, float]] = IRIS_GAZES,
     bfloat16: bool = False,
-    on_step: Callable[[str], None] | None = None,
+    progress: Progress = silent,
 ) -> dict[str, Any]:
     """Measure a field on captures that it was not trained on.
 
@@ -100,7 +102,7 @@ def evaluate_field(
         unseen_people: People of whom the field saw no capture.
         iris_gazes: Pitch and yaw, degrees; each is rendered from five cameras for each person.
         bfloat16: Query the field in bfloat16.
-        on_step: Called with a note after each capture and each iris reading.
+        progress: Told about captures and iris readings.
 
     Returns:
         `all`, `trained` and `unseen` groups and `people`, by `UNITS`, with the count behind each value.
@@ -108,19 +110,20 @@ def evaluate_field(
     instruments = instruments or Instruments()
     tally = _Tally()
     people = sorted({capture.person for capture in captures})
+    done, total = 0, len(captures) + len(people) * len(iris_gazes)
     for capture in captures:
         tally.add(capture.person, evaluate_capture(model, capture, head_model, instruments, bfloat16))
-        if on_step is not None:
-            on_step(f"person {capture.person} view {capture.view}")
+        done += 1
+        progress(f"measuring, person {capture.person} view {capture.view}", done, total)
     for person in people:
         codes = next(capture.codes for capture in captures if capture.person == person)
         still = Codes(codes.identity, np.zeros_like(codes.expression), codes.texture, codes.illumination)
+        head = Head(model, Subject("iris", still, still), bfloat16=bfloat16)
         for pitch, yaw in iris_gazes:
-            gaze = Gaze.from_degrees(pitch, yaw)
-            for row in _iris_rows(model, still, gaze, head_model, instruments, bfloat16):
+            for row in _iris_rows(head, Gaze.from_degrees(pitch, yaw), head_model, instruments):
                 tally.add(person, row)
-            if on_step is not None:
-                on_step(f"person {person} iris")
+            done += 1
+            progress(f"measuring, person {person} iris", done, total)
     seen = [person for person in people if person not in unseen_people]
     return {
         "all": tally.summary(people),
@@ -135,7 +138,7 @@ def evaluate_capture(
 ) -> dict[str, float]:
     """The measurements of one capture, by `UNITS`; those that do not apply are left out."""
     subject = Subject(f"person-{capture.person}", capture.codes, capture.codes)
-    bound = model.bind(subject, capture.gaze, bfloat16=bfloat16)
+    bound = Head(model, subject, bfloat16=bfloat16).at(capture.gaze)
     image = bound.render(capture.camera).image
     target = capture.image.astype(np.float32) / 255.0
     head = capture.head_mask
@@ -159,7 +162,7 @@ def evaluate_capture(
     return row | _geometry_row(bound, capture, head_model)
 
 
-def _geometry_row(bound: Any, capture: Capture, head_model: HeadModel) -> dict[str, float]:
+def _geometry_row(bound: BoundField, capture: Capture, head_model: HeadModel) -> dict[str, float]:
     height, width = capture.depth.shape
     geometry = bound.render_geometry(capture.camera.resized(width // 2, height // 2))
     millimetres = 1000.0 * bound.metres_per_unit
@@ -176,18 +179,16 @@ def _geometry_row(bound: Any, capture: Capture, head_model: HeadModel) -> dict[s
         row["depth_eyes_median_mm"] = float(np.median(inside))
     points = surface_points(geometry)
     if len(points):
-        distances = MeshDistance(head_model.mesh(capture.codes, capture.gaze))(points) * millimetres
+        distances = SurfaceDistance.of_mesh(head_model.mesh(capture.codes, capture.gaze))(points) * millimetres
         row["surface_median_mm"] = float(np.median(distances))
         row["surface_p95_mm"] = float(np.percentile(distances, 95))
     return row
 
 
-def _iris_rows(
-    model: TwoStreamField, codes: Codes, gaze: Gaze, head_model: HeadModel, instruments: Instruments, bfloat16: bool
-) -> list[dict[str, float]]:
-    mesh = head_model.mesh(codes, gaze)
-    bound = model.bind(Subject("iris", codes, codes), gaze, bfloat16=bfloat16)
-    cameras = iris_cameras(model.config.image_size)
+def _iris_rows(head: Head, gaze: Gaze, head_model: HeadModel, instruments: Instruments) -> list[dict[str, float]]:
+    codes = head.subject.codes
+    mesh, bound = head_model.mesh(codes, gaze), head.at(gaze)
+    cameras = iris_cameras(head.field.config.image_size)
     readings = iris_gaze([(bound.render(camera).image, camera) for camera in cameras], mesh)
     rows = [{"iris_found": float(eye in readings)} for eye in ("left", "right")]
     rows += [_reading_row(reading, gaze) for reading in readings.values()]

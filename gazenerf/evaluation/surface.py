@@ -46,32 +46,50 @@ def silhouette_iou(geometry: GeometryView, coverage: np.ndarray) -> float:
 
 def surface_points(geometry: GeometryView) -> np.ndarray:
     """(N, 3) world points of the pixels that show a surface."""
-    seen = np.isfinite(geometry.depth)
-    origins, rays = geometry.camera.rays()
-    return origins[seen] + geometry.depth[seen][:, None] * rays[seen]
+    return geometry.points()[np.isfinite(geometry.depth)]
 
 
-class MeshDistance:
-    """Distance to a mesh's surface, by its nearest vertex's or face centre's tangent plane.
+class SurfaceDistance:
+    """Distances from a surface of which samples with normals are known.
 
-    The plane's distance is used within a few edge lengths of the surface, the distance to the sample beyond.
+    The distance of a point is that to the tangent plane of the nearest sample where the point lies above the
+    neighbourhood of that sample, and to the sample itself beyond.
 
     Args:
-        mesh: The head.
+        points: (N, 3) samples, world units.
+        normals: (N, 3) unit.
+        spacing: Typical distance between neighbouring samples, world units; the median distance of about 500 samples
+            to their nearest neighbour by default.
     """
 
-    def __init__(self, mesh: HeadMesh) -> None:
+    def __init__(self, points: np.ndarray, normals: np.ndarray, spacing: float | None = None) -> None:
+        self._points, self._normals = points, normals
+        self._tree = KDTree(points)
+        if spacing is None:
+            some = points[:: max(1, len(points) // 500)]
+            spacing = float(np.median(np.asarray(self._tree.query(some, k=2)[0])[:, 1]))
+        self._near = 3.0 * spacing
+
+    @classmethod
+    def of_mesh(cls, mesh: HeadMesh) -> SurfaceDistance:
+        """From a head's mesh, whose samples are face centres and vertices."""
         corners = mesh.vertices[mesh.faces].astype(np.float64)
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         lengths = np.linalg.norm(normals, axis=1, keepdims=True)
         good = lengths[:, 0] > 1e-12
-        self._points = np.concatenate([corners[good].mean(1), mesh.vertices.astype(np.float64)])
-        self._normals = np.concatenate([normals[good] / lengths[good], mesh.normals.astype(np.float64)])
-        self._tree = KDTree(self._points)
-        self._near = 3.0 * float(np.sqrt(np.median(lengths)))
+        return cls(
+            np.concatenate([corners[good].mean(1), mesh.vertices.astype(np.float64)]),
+            np.concatenate([normals[good] / lengths[good], mesh.normals.astype(np.float64)]),
+            float(np.sqrt(np.median(lengths))),
+        )
+
+    def measure(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Unsigned distances (N,), world units, of points (N, 3), and the normals (N, 3) of the nearest samples."""
+        found, nearest = self._tree.query(points)
+        gap, normals = np.asarray(found), self._normals[nearest]
+        plane = np.abs(((points - self._points[nearest]) * normals).sum(-1))
+        return np.where(gap <= self._near + plane, np.minimum(plane, gap), gap), normals
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        """(N,) unsigned distances, world units, of points (N, 3)."""
-        gap, nearest = self._tree.query(points)
-        plane = np.abs(((points - self._points[nearest]) * self._normals[nearest]).sum(-1))
-        return np.where(gap <= self._near, np.minimum(plane, gap), gap)
+        """Unsigned distances (N,), world units, of points (N, 3)."""
+        return self.measure(points)[0]

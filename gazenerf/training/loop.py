@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 import torch
 from PIL import Image
+from torch import nn
+from torch.optim.swa_utils import AveragedModel
 
 from gazenerf.checkpoints import save_field
 from gazenerf.data.captures import Capture
@@ -31,8 +33,8 @@ LOG = "log.jsonl"
 FIELD = "field.safetensors"
 
 
-@dataclass
-class Progress:
+@dataclass(frozen=True)
+class TrainingStep:
     """What a callback is told after a step.
 
     Attributes:
@@ -85,7 +87,7 @@ def train(
     save_every: int = 250,
     preview_every: int = 250,
     about: dict[str, Any] | None = None,
-    on_step: Callable[[Progress], None] | None = None,
+    on_step: Callable[[TrainingStep], None] | None = None,
 ) -> TwoStreamField:
     """Train a field on captures and write it to `out`.
 
@@ -107,7 +109,42 @@ def train(
     Raises:
         UserError: sizes do not match, nothing to resume, or the loss is not finite.
     """
-    out = Path(out)
+    _check(captures, field_config)
+    runtime = runtime or Runtime()
+    torch.manual_seed(config.seed)
+    field_config = replace(
+        field_config,
+        trained_gaze_range=trained_range(captures),
+        eyes_box=None if eyeballs is None or config.shell is None else eyes_box(captures, eyeballs),
+    )
+    model = (initial if initial is not None else TwoStreamField(field_config)).requires_grad_(True)
+    objective = Objective(model, config, len(captures), features, estimate_gaze)
+    run = _Run(Path(out), field_config, config, runtime, model, objective, about or {}, len(captures))
+    if resume:
+        run.resume()
+    wrapped = runtime.setup(objective, run.optimizer)
+    maker = BatchMaker(captures, field_config.feature_size, field_config.ray_offset, config.shell is None, eyeballs)
+    watch = BatchMaker(held_out, field_config.feature_size, field_config.ray_offset, config.shell is None)
+    model.train()
+    while run.step < config.steps:
+        values = run.advance(wrapped, maker)
+        seconds = run.seconds
+        if runtime.rank == 0:
+            if on_step is not None:
+                on_step(TrainingStep(run.step, config.steps, seconds, values))
+            if len(held_out) and (run.step % preview_every == 0 or run.step == config.steps):
+                run.preview(watch)
+        if run.step % save_every == 0:
+            run.save()
+        if stop_after is not None and seconds > 60.0 * stop_after:
+            break
+    run.save()
+    model.load_state_dict(run.weights())
+    return model.eval()
+
+
+def _check(captures: Sequence[Capture], field_config: FieldConfig) -> None:
+    """Raise UserError where captures and field do not fit."""
     if not captures:
         raise UserError("no captures to train on; make some with `gazenerf synthesize`")
     sizes = (field_config.identity, field_config.expression, field_config.texture, field_config.illumination)
@@ -118,101 +155,137 @@ def train(
             f"the captures are {captures[0].image.shape[0]} px, the field renders {field_config.image_size} px; "
             "synthesize at that size or choose another preset"
         )
-    runtime = runtime or Runtime()
-    torch.manual_seed(config.seed)
-    field_config = replace(
-        field_config,
-        trained_gaze_range=trained_range(captures),
-        eyes_box=None if eyeballs is None or config.shell is None else eyes_box(captures, eyeballs),
-    )
-    model = (initial if initial is not None else TwoStreamField(field_config)).requires_grad_(True)
-    objective = Objective(model, config, len(captures), features, estimate_gaze)
-    optimizer = Optimizers(
-        dict(objective.named_parameters()),
-        config.optimizer,
-        config.learning_rate,
-        config.density_learning_rate,
-        config.muon_learning_rate,
-    )
-    step, spent, average = 0, 0.0, None
-    if resume:
-        state = _read_state(out / STATE)
-        objective.load_state_dict(state["objective"])
+
+
+def average_weights(model: TwoStreamField, decay: float) -> AveragedModel:
+    """Averaged weights that start as the model's own; after n updates a part min(decay, (n + 1) / (n + 10)) is kept."""
+
+    def blend(
+        averaged: tuple[torch.Tensor, ...] | list[torch.Tensor],
+        current: tuple[torch.Tensor, ...] | list[torch.Tensor],
+        updates: torch.Tensor | int,
+    ) -> None:
+        kept = min(decay, (int(updates) + 1) / (int(updates) + 10))
+        for mean, value in zip(averaged, current, strict=True):
+            mean.lerp_(value, 1.0 - kept)
+
+    found = AveragedModel(model, multi_avg_fn=blend)
+    found.update_parameters(model)
+    return found
+
+
+class _Run:
+    """What a training run carries from step to step, and how it is written and read back.
+
+    Attributes:
+        step: Steps done.
+        spent: Seconds of the processes before this one.
+    """
+
+    def __init__(
+        self,
+        out: Path,
+        field_config: FieldConfig,
+        config: TrainConfig,
+        runtime: Runtime,
+        model: TwoStreamField,
+        objective: Objective,
+        about: dict[str, Any],
+        pictures: int,
+    ) -> None:
+        self.out, self.field_config, self.config, self.runtime = out, field_config, config, runtime
+        self.model, self.objective, self.about, self.pictures = model, objective, about, pictures
+        self.optimizer = Optimizers(
+            dict(objective.named_parameters()),
+            config.optimizer,
+            config.learning_rate,
+            config.density_learning_rate,
+            config.muon_learning_rate,
+        )
+        self.average = average_weights(model, config.ema) if config.ema else None
+        self.step, self.spent = 0, 0.0
+        self._started = time.monotonic()
+
+    @property
+    def seconds(self) -> float:
+        """Since this process started."""
+        return time.monotonic() - self._started
+
+    def weights(self) -> dict[str, torch.Tensor]:
+        """What is saved and shown: averaged, or the last ones."""
+        shown = self.model if self.average is None else self.average.module
+        return shown.state_dict()
+
+    def resume(self) -> None:
+        """Continue from the state file.
+
+        Raises:
+            UserError: there is none, or it is another run's.
+        """
+        state = _read_state(self.out / STATE)
+        self.objective.load_state_dict(state["objective"])
         try:
-            optimizer.load_state_dict(state["optimizer"])
+            self.optimizer.load_state_dict(state["optimizer"])
         except ValueError as error:
-            raise UserError(f"cannot resume from {out / STATE}: {error}") from error
-        step, spent, average = int(state["step"]), float(state["seconds"]), state["average"]
-        _forget_after(out / LOG, step)
-    wrapped = runtime.setup(objective, optimizer)
-    if config.ema and average is None:
-        average = {name: value.detach().float().clone() for name, value in model.state_dict().items()}
-    maker = BatchMaker(captures, field_config.feature_size, field_config.ray_offset, config.shell is None, eyeballs)
-    watch = BatchMaker(held_out, field_config.feature_size, field_config.ray_offset, config.shell is None)
-    per_step = config.batch * runtime.world
-    started = time.monotonic()
-    model.train()
+            raise UserError(f"cannot resume from {self.out / STATE}: {error}") from error
+        self.step, self.spent = int(state["step"]), float(state["seconds"])
+        if self.average is not None:
+            self.average.module.load_state_dict(state["average"] or self.model.state_dict())
+            self.average.n_averaged.fill_(self.step + 1)
+        _forget_after(self.out / LOG, self.step)
 
-    def averaged() -> dict[str, torch.Tensor]:
-        return average if average is not None else model.state_dict()
-
-    def save() -> None:
-        if runtime.rank:
-            return
-        elapsed = spent + time.monotonic() - started
-        state = {
-            "objective": objective.state_dict(),
-            "optimizer": optimizer.state_dict(),
-            "average": average,
-            "step": step,
-            "seconds": elapsed,
-        }
-        with whole_file(out / STATE) as temporary:
-            torch.save(state, temporary)
-        best = TwoStreamField(field_config)
-        best.load_state_dict(averaged())
-        story = {"steps": step, "minutes": round(elapsed / 60, 1), "pictures": len(captures), **(about or {})}
-        save_field(best, out / FIELD, {**story, "training": config.to_dict()})
-
-    while step < config.steps:
+    def advance(self, wrapped: nn.Module, maker: BatchMaker) -> dict[str, float]:
+        """One optimiser step; the weighted parts of its loss."""
+        config, runtime, step = self.config, self.runtime, self.step
         torch.manual_seed(config.seed * 1_000_003 + step * 31 + runtime.rank)
-        epoch, indices = _draw(len(captures), per_step, step, config.seed)
+        epoch, indices = _draw(self.pictures, config.batch * runtime.world, step, config.seed)
         mine = indices[runtime.rank * config.batch : (runtime.rank + 1) * config.batch]
         rng = np.random.default_rng((config.seed, step, runtime.rank))
         batch = maker.batch(mine, rng).to(runtime.device)
-        optimizer.set_rate(schedule(config, step))
+        self.optimizer.set_rate(schedule(config, step))
         with runtime.autocast():
             loss, parts = wrapped(batch, step, epoch)
         if not torch.isfinite(loss):
             raise UserError(f"the loss is not finite at step {step}; lower the learning rate and --resume")
-        optimizer.zero_grad()
+        self.optimizer.zero_grad()
         runtime.backward(loss)
-        torch.nn.utils.clip_grad_norm_(objective.parameters(), config.gradient_clip)
-        optimizer.step()
-        step += 1
-        if average is not None:
-            decay = min(config.ema, (step + 1) / (step + 10))
-            with torch.no_grad():
-                for name, value in model.state_dict().items():
-                    average[name].lerp_(value.float(), 1.0 - decay)
-        seconds = time.monotonic() - started
+        torch.nn.utils.clip_grad_norm_(self.objective.parameters(), config.gradient_clip)
+        self.optimizer.step()
+        self.step += 1
+        if self.average is not None:
+            self.average.update_parameters(self.model)
         values = {name: float(part.detach()) for name, part in parts.items()}
         if runtime.rank == 0:
-            _append(out / LOG, {"step": step, "seconds": round(spent + seconds, 2), "epoch": epoch, **values})
-            if on_step is not None:
-                on_step(Progress(step, config.steps, seconds, values))
-            if len(held_out) and (step % preview_every == 0 or step == config.steps):
-                shown = TwoStreamField(field_config).to(runtime.device)
-                shown.load_state_dict(averaged())
-                psnr = _preview(shown, watch, config, runtime, out / "previews" / f"{step:06d}.png")
-                _append(out / LOG, {"step": step, "held_out_psnr": psnr})
-        if step % save_every == 0:
-            save()
-        if stop_after is not None and seconds > 60.0 * stop_after:
-            break
-    save()
-    model.load_state_dict(averaged())
-    return model.eval()
+            row = {"step": self.step, "seconds": round(self.spent + self.seconds, 2), "epoch": epoch, **values}
+            _append(self.out / LOG, row)
+        return values
+
+    def save(self) -> None:
+        """Write the state to resume from, and the field."""
+        if self.runtime.rank:
+            return
+        elapsed = self.spent + self.seconds
+        state = {
+            "objective": self.objective.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+            "average": None if self.average is None else self.average.module.state_dict(),
+            "step": self.step,
+            "seconds": elapsed,
+        }
+        with whole_file(self.out / STATE) as temporary:
+            torch.save(state, temporary)
+        best = TwoStreamField(self.field_config)
+        best.load_state_dict(self.weights())
+        story = {"steps": self.step, "minutes": round(elapsed / 60, 1), "pictures": self.pictures, **self.about}
+        save_field(best, self.out / FIELD, {**story, "training": self.config.to_dict()})
+
+    def preview(self, watch: BatchMaker) -> None:
+        """Write held-out pictures and log their PSNR."""
+        shown = TwoStreamField(self.field_config).to(self.runtime.device)
+        shown.load_state_dict(self.weights())
+        path = self.out / "previews" / f"{self.step:06d}.png"
+        found = _preview(shown, watch, self.config, self.runtime, path)
+        _append(self.out / LOG, {"step": self.step, "held_out_psnr": found})
 
 
 def _draw(pictures: int, per_step: int, step: int, seed: int) -> tuple[int, list[int]]:

@@ -1,51 +1,33 @@
-"""What commands share: gazes, sources, tables, and missing libraries."""
+"""What commands share: gazes, tables, progress, and missing libraries."""
 
 import argparse
 import math
-import warnings
-from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
-from gazenerf.cli import common, views
+from gazenerf.cli import common
+from gazenerf.cli.arguments import GazeArguments, checked_gaze
 from gazenerf.cli.libraries import missing_library
+from gazenerf.cli.parser import add_options, parsed
 from gazenerf.errors import UserError
 from gazenerf.geometry import Gaze
-from gazenerf.subjects import Codes, Subject
 
-SUBJECT = Subject("nobody", Codes(np.zeros(2), np.zeros(1), np.zeros(1), np.zeros(27)))
+
+def gaze_of(*words: str) -> Gaze:
+    parser = argparse.ArgumentParser()
+    add_options(parser, GazeArguments)
+    return parsed(GazeArguments, parser.parse_args(words)).checked_gaze()
 
 
 def test_gaze_defaults_to_straight_ahead_and_takes_negative_numbers():
-    parser = argparse.ArgumentParser()
-    common.add_gaze_argument(parser)
-    assert common.checked_gaze(parser.parse_args([]).gaze) == Gaze(0.0, 0.0)
-    gaze = common.checked_gaze(parser.parse_args(["--gaze", "-10", "-.5"]).gaze)
-    assert gaze.degrees == pytest.approx((-10.0, -0.5))
+    assert gaze_of() == Gaze(0.0, 0.0)
+    assert gaze_of("--gaze", "-10", "-.5").degrees == pytest.approx((-10.0, -0.5))
 
 
 @pytest.mark.parametrize("angles", [(90, 0), (0, -90), (math.nan, 0), (0, math.inf)])
 def test_a_gaze_that_no_eye_has_is_refused(angles):
     with pytest.raises(UserError, match="between -90 and 90"):
-        common.checked_gaze(angles)
-
-
-def test_binding_warns_once_beyond_the_trained_range(monkeypatch):
-    field = SimpleNamespace(
-        config=SimpleNamespace(trained_gaze_range=(20.0, 30.0)), bind=lambda subject, gaze: (subject, gaze)
-    )
-    monkeypatch.setattr(views, "load_scene", lambda args: (field, SUBJECT))
-    subject, bind = common.load_bound_factory(argparse.Namespace())
-    inside, outside = Gaze.from_degrees(10, -20), Gaze.from_degrees(0, 40)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert bind(inside) == (SUBJECT, inside) and subject is SUBJECT
-    with pytest.warns(UserWarning, match=r"0 40 is beyond.*pitch \+-20 and yaw \+-30"):
-        bind(outside)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        bind(outside)
+        checked_gaze(angles)
 
 
 def test_the_closing_table_shows_sizes_of_files(tmp_path, capsys):
@@ -59,9 +41,10 @@ def test_the_closing_table_shows_sizes_of_files(tmp_path, capsys):
 
 
 def test_progress_is_silent_when_nobody_watches(capsys):
-    with common.progress("working", 3) as advance:
-        for _ in range(3):
-            advance(1, "note")
+    with common.showing_progress() as progress:
+        for done in range(3):
+            progress("working", done + 1, 3)
+        progress("more", 1, 1)
     captured = capsys.readouterr()
     assert captured.out == captured.err == ""
 

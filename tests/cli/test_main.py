@@ -11,6 +11,7 @@ import pytest
 from gazenerf import __version__
 from gazenerf.cli import main as frame
 from gazenerf.cli.main import COMMANDS, build_parser, load_command, main
+from gazenerf.cli.parser import parsed
 from gazenerf.errors import UserError
 
 HEAVY = ("torch", "numpy", "scipy", "pyvista", "vtk", "open3d", "mitsuba", "pyrender", "trimesh", "rich", "shtab")
@@ -69,10 +70,11 @@ def test_every_command_has_help_that_the_frame_repeats(name, capsys):
 @pytest.mark.parametrize("name", ["orbit", "mesh", "check"])
 def test_commands_that_render_share_their_source(name):
     words = [name, "--out", "x", "--subject", "ada", "--checkpoint", "w.safetensors", "--gaze", "-10", "20"]
-    args = build_parser([name]).parse_args(words)
-    assert args.subject == "ada" and args.checkpoint.name == "w.safetensors"
-    assert list(args.gaze) in ([-10.0, 20.0], [[-10.0, 20.0]])
-    fallback = build_parser([name]).parse_args([name, "--out", "x"])
+    kind = load_command(name).Options
+    options = parsed(kind, build_parser([name]).parse_args(words))
+    assert options.subject == "ada" and options.checkpoint.name == "w.safetensors"
+    assert options.gaze in ((-10.0, 20.0), ((-10.0, 20.0),))
+    fallback = parsed(kind, build_parser([name]).parse_args([name, "--out", "x"]))
     assert fallback.subject is None and fallback.checkpoint is None
 
 

@@ -70,6 +70,6 @@ def test_a_missing_library_is_named_with_its_package(error, package, tmp_path, c
     def fail(*_, **__):
         raise error
 
-    monkeypatch.setattr("gazenerf.data.synthesize", fail)
+    monkeypatch.setattr("gazenerf.cli.synthesize.synthesize", fail)
     assert main(["synthesize", "--out", str(tmp_path), *SMALL]) == 2
     assert f"apt-get install {package}" in capsys.readouterr().err

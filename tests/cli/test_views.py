@@ -2,18 +2,20 @@
 
 import argparse
 import json
-from types import SimpleNamespace
 
 import imageio_ffmpeg
 import numpy as np
 import pytest
 from PIL import Image
 
-from gazenerf.cli import orbit, sheet, views
+from gazenerf.cli import orbit, sheet
+from gazenerf.cli.parser import add_options, parsed
 from gazenerf.errors import UserError
 from gazenerf.geometry import Camera, Gaze
+from gazenerf.geometry.paths import GazeRange
 from gazenerf.heads.interface import GeometryView, RenderedView
 from gazenerf.subjects import Codes, Subject
+from gazenerf.viz.pictures import contact
 
 SUBJECT = Subject("nobody", Codes(np.zeros(2), np.zeros(1), np.zeros(1), np.zeros(27)))
 
@@ -39,18 +41,28 @@ class Flat:
         return GeometryView(camera, np.ones(shape, np.float32), np.full(shape, 12.0, np.float32))
 
 
-FIELD = SimpleNamespace(config=SimpleNamespace(trained_gaze_range=(20.0, 30.0)), bind=lambda subject, gaze: Flat(gaze))
+class FlatHead:
+    """A head of that colour."""
+
+    subject = SUBJECT
+    trained_range = GazeRange(np.deg2rad(20.0), np.deg2rad(30.0))
+
+    def at(self, gaze):
+        return Flat(gaze)
+
+    def check(self, gazes):
+        return self.trained_range.beyond(gazes)
 
 
 @pytest.fixture(autouse=True)
 def scene(monkeypatch):
-    monkeypatch.setattr(views, "load_scene", lambda args: (FIELD, SUBJECT))
+    monkeypatch.setattr("gazenerf.cli.arguments.SourceArguments.load", lambda self: FlatHead())
 
 
 def run(command, *words: object) -> int:
     parser = argparse.ArgumentParser()
-    command.configure(parser)
-    return command.run(parser.parse_args([str(word) for word in words]))
+    add_options(parser, command.Options)
+    return command.run(parsed(command.Options, parser.parse_args([str(word) for word in words])))
 
 
 def test_an_orbit_is_a_video_with_its_sidecar_and_a_table(tmp_path, capsys):
@@ -165,13 +177,13 @@ def test_a_contact_sheet_has_the_asked_gazes_and_views(tmp_path):
 def test_crops_keep_the_eyes():
     eyes = np.array([0.0, 0.1, 0.8])
     for name, (width, height) in {"eyes": (128, 47), "face": (162, 149)}.items():
-        left, top, right, bottom = sheet.crop_box(Camera.neutral(256), eyes, sheet.CROPS[name])
+        left, top, right, bottom = contact.crop_box(Camera.neutral(256), eyes, contact.CROPS[name])
         (u, v), _ = Camera.neutral(256).project(eyes)
         assert left < u < right and top < v < bottom
         assert right - left == pytest.approx(width, abs=12) and bottom - top == pytest.approx(height, abs=12)
-    assert sheet.crop_box(Camera.neutral(256), eyes, None) is None
+    assert contact.crop_box(Camera.neutral(256), eyes, None) is None
     with pytest.raises(UserError, match="--crop whole"):
-        sheet.crop_box(Camera.neutral(256), np.array([5.0, 0.0, 0.9]), sheet.CROPS["eyes"])
+        contact.crop_box(Camera.neutral(256), np.array([5.0, 0.0, 0.9]), contact.CROPS["eyes"])
 
 
 def test_sheet_mistakes(tmp_path):

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gazenerf.data import CaptureSet, storage, synthesis, synthesize
+from gazenerf.data import CaptureSet, SynthesizeOptions, storage, synthesis, synthesize
 from gazenerf.errors import UserError
 
 SIZE = 32
@@ -35,40 +35,42 @@ def whole(tmp_path_factory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(synthesis, "SHARD_VIEWS", 2)
         try:
-            assert synthesize(folder, **SETTINGS) == 6
+            assert synthesize(folder, SynthesizeOptions(**SETTINGS)) == 6
         except UserError as error:
             pytest.skip(str(error))
     return folder
 
 
 def test_the_same_seed_gives_the_same_bytes(whole, small_shards, tmp_path):
-    synthesize(tmp_path, **SETTINGS)
+    synthesize(tmp_path, SynthesizeOptions(**SETTINGS))
     assert digests(tmp_path) == digests(whole)
     assert len(digests(whole)) == 1 + 2 * 2
 
 
 def test_another_seed_gives_other_pictures(whole, small_shards, tmp_path):
-    synthesize(tmp_path, **SETTINGS | {"seed": 6, "people": 1, "views": 2})
+    synthesize(tmp_path, SynthesizeOptions(**SETTINGS | {"seed": 6, "people": 1, "views": 2}))
     same = digests(whole).items() & digests(tmp_path).items()
     assert not same
 
 
 def test_what_is_missing_is_made_again_and_what_is_there_stays(whole, small_shards, tmp_path):
-    synthesize(tmp_path, **SETTINGS)
+    synthesize(tmp_path, SynthesizeOptions(**SETTINGS))
     names = sorted(path.name for path in tmp_path.glob("person-*.npz"))
     (tmp_path / names[1]).unlink()
     kept = (tmp_path / names[0]).stat().st_mtime_ns
     calls = []
-    assert synthesize(tmp_path, **SETTINGS, on_capture=lambda done, total: calls.append((done, total))) == 1
+    assert (
+        synthesize(tmp_path, SynthesizeOptions(**SETTINGS), lambda stage, done, total: calls.append((done, total))) == 1
+    )
     assert digests(tmp_path) == digests(whole)
     assert (tmp_path / names[0]).stat().st_mtime_ns == kept and calls == [(3, 6)]
-    assert synthesize(tmp_path, **SETTINGS) == 0
+    assert synthesize(tmp_path, SynthesizeOptions(**SETTINGS)) == 0
 
 
 def test_a_killed_run_goes_on_where_it_stopped(whole, small_shards, tmp_path):
     program = (
         "import sys; from gazenerf.data import synthesis; synthesis.SHARD_VIEWS = 2; "
-        f"synthesis.synthesize(sys.argv[1], **{SETTINGS})"
+        f"synthesis.synthesize(sys.argv[1], synthesis.SynthesizeOptions(**{SETTINGS}))"
     )
     with subprocess.Popen([sys.executable, "-c", program, str(tmp_path)]) as process:
         until = time.monotonic() + 60
@@ -77,7 +79,7 @@ def test_a_killed_run_goes_on_where_it_stopped(whole, small_shards, tmp_path):
         process.kill()
     assert 0 < len(list(tmp_path.glob("person-*.npz"))) < 4
     (tmp_path / ".person-0001-view-00000-torn.npz").write_bytes(b"what a kill can leave")
-    assert synthesize(tmp_path, **SETTINGS) > 0
+    assert synthesize(tmp_path, SynthesizeOptions(**SETTINGS)) > 0
     assert {name: digest for name, digest in digests(tmp_path).items() if name[0] != "."} == digests(whole)
     assert len(CaptureSet(tmp_path)) == 6
 
@@ -101,24 +103,25 @@ def test_captures_read_back_as_they_were_rendered(whole, head):
 
 
 def test_xgaze18_is_written_too(pyrender, tmp_path):
-    assert synthesize(tmp_path, 1, 3, 16, 0, layout="xgaze18") == 3
+    assert synthesize(tmp_path, SynthesizeOptions(people=1, views=3, size=16, seed=0, layout="xgaze18")) == 3
     captures = CaptureSet(tmp_path)[:]
     assert len({capture.gaze for capture in captures}) == 1
     assert [float(np.sign(capture.camera.position[0])) for capture in captures] == [-1.0, -1.0, -1.0]
 
 
 def test_path_traced_sets_are_the_same_every_time_and_keep_apart(path_tracer, whole, tmp_path):
-    traced = {"renderer": "mitsuba", "samples": 3}
+    traced: dict = {"renderer": "mitsuba", "samples": 3}
+    few: dict = {"people": 1, "views": 2, "size": SIZE, "seed": 5}
     for name in ("a", "b"):
-        assert synthesize(tmp_path / name, 1, 2, SIZE, 5, **traced) == 2
+        assert synthesize(tmp_path / name, SynthesizeOptions(**few, **traced)) == 2
     assert digests(tmp_path / "a") == digests(tmp_path / "b")
     manifest = json.loads((tmp_path / "a" / storage.MANIFEST).read_text())
     assert manifest["renderer"] == "mitsuba" and manifest["samples"] == 3 and "supersampling" not in manifest
-    assert synthesize(tmp_path / "a", 1, 2, SIZE, 5, **traced) == 0
+    assert synthesize(tmp_path / "a", SynthesizeOptions(**few, **traced)) == 0
     with pytest.raises(UserError, match=r"samples 3, not 4\); choose another --out"):
-        synthesize(tmp_path / "a", 1, 2, SIZE, 5, renderer="mitsuba", samples=4)
+        synthesize(tmp_path / "a", SynthesizeOptions(**few, renderer="mitsuba", samples=4))
     with pytest.raises(UserError, match=r"renderer pyrender, not mitsuba\)"):
-        synthesize(whole, **SETTINGS, **traced)
+        synthesize(whole, SynthesizeOptions(**SETTINGS, **traced))
 
 
 @pytest.mark.parametrize(
@@ -136,5 +139,5 @@ def test_path_traced_sets_are_the_same_every_time_and_keep_apart(path_tracer, wh
 )
 def test_impossible_settings_are_refused_before_anything_is_written(change, words, tmp_path):
     with pytest.raises(UserError, match=words):
-        synthesize(tmp_path / "set", **SETTINGS | change)
+        synthesize(tmp_path / "set", SynthesizeOptions(**SETTINGS | change))
     assert not (tmp_path / "set").exists()

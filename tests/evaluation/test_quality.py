@@ -11,7 +11,7 @@ import trimesh
 
 from gazenerf.data.captures import Capture
 from gazenerf.evaluation.quality import UNITS, Instruments, evaluate_field
-from gazenerf.evaluation.surface import MeshDistance, depth_errors, halved_depth, silhouette_iou, surface_points
+from gazenerf.evaluation.surface import SurfaceDistance, depth_errors, halved_depth, silhouette_iou, surface_points
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model.interface import HeadMesh
 from gazenerf.heads.interface import GeometryView, RenderedView
@@ -75,9 +75,9 @@ def test_known_errors_come_out_as_they_are(ball_mesh):
     report = evaluate_field(
         model, [_capture(person, view) for person in (0, 1) for view in (0, 1)], head_model,
         Instruments(estimate, lambda a, b: (a - b).abs().mean((1, 2, 3))),
-        unseen_people={1}, iris_gazes=(), on_step=notes.append,
+        unseen_people={1}, iris_gazes=(), progress=lambda *step: notes.append(step),
     )  # fmt: skip
-    assert len(notes) == 4
+    assert [step[1:] for step in notes] == [(1, 4), (2, 4), (3, 4), (4, 4)]
     assert set(report["people"]) == {"0", "1"} and set(report["all"]) - {"captures"} <= {
         key for name in UNITS for key in (name, f"{name}_n")
     }
@@ -109,7 +109,7 @@ def test_mesh_distance_is_the_distance_to_the_surface(ball_mesh):
     rng = np.random.default_rng(0)
     directions = rng.normal(size=(200, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    distance = MeshDistance(ball_mesh)
+    distance = SurfaceDistance.of_mesh(ball_mesh)
     for radius in (0.5, 0.98, 1.0, 1.01, 1.5):
         np.testing.assert_allclose(distance(radius * directions), abs(radius - 1.0), atol=0.004)
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from gazenerf.checkpoints import load_field
-from gazenerf.data import synthesize
+from gazenerf.data import SynthesizeOptions, synthesize
 from gazenerf.errors import UserError
 
 STEPS = 3
@@ -22,7 +22,7 @@ STEPS = 3
 def captures(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("captures")
     try:
-        synthesize(folder, people=2, views=4, size=32, seed=2)
+        synthesize(folder, SynthesizeOptions(people=2, views=4, size=32, seed=2))
     except UserError as error:
         pytest.skip(f"captures need off-screen OpenGL: {error}")
     return folder

@@ -16,8 +16,6 @@ from gazenerf.heads.interface import BoundField, HeadField
 from gazenerf.viz.pictures.layout import grid_size, tile
 from gazenerf.viz.pictures.panels import DEPTH_RANGE, ReferenceRenderer, check_panels, draw_panels
 
-"""Folds a gaze into a field with its subject already chosen."""
-
 ORBIT_FORMAT = "gazenerf-orbit-1"
 
 

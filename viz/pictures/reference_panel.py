@@ -9,7 +9,7 @@ import numpy as np
 
 from gazenerf.errors import UserError
 from gazenerf.geometry import Camera, Gaze
-from gazenerf.head_model import HeadMesh, load_head_model
+from gazenerf.head_model import HeadMesh, ReferenceHead
 from gazenerf.head_model.shading import shade
 from gazenerf.subjects import Subject
 from gazenerf.viz.pictures.panels import ReferenceRenderer
@@ -30,20 +30,18 @@ def head_pictures(subject: Subject, size: tuple[int, int]) -> Iterator[Reference
     """
     from gazenerf.data.rasterizer import Rasterizer
 
-    codes = subject.head
-    if codes is None:
-        raise UserError(f"{subject.name} has no head-model parameters; leave out the reference panel")
-    model = load_head_model()
-    if codes.sizes != model.code_sizes:
-        raise UserError(f"{subject.name} is of another head model than {model.name}; leave out the reference panel")
+    reference = ReferenceHead.of(subject)
+    if reference is None:
+        known = "no head-model parameters" if subject.head is None else "the parameters of another head model"
+        raise UserError(f"{subject.name} has {known}; leave out the reference panel")
     posed: dict[Gaze, HeadMesh] = {}
     with Rasterizer(size) as rasterizer:
 
         def draw(camera: Camera, gaze: Gaze) -> np.ndarray:
             if gaze not in posed:
                 posed.clear()
-                posed[gaze] = model.mesh(codes, gaze)
+                posed[gaze] = reference.at(gaze)
             mesh = posed[gaze]
-            return rasterizer.render(mesh, shade(mesh, codes.illumination, camera.position), camera).image
+            return rasterizer.render(mesh, shade(mesh, reference.illumination, camera.position), camera).image
 
         yield draw

@@ -2,39 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from gazenerf.errors import UserError
 from gazenerf.geometry import Camera, Gaze
-from gazenerf.heads.interface import BoundField
+from gazenerf.heads.interface import HeadField
+from gazenerf.progress import Progress, silent
 from gazenerf.viz.pictures.colormaps import to_uint8
 from gazenerf.viz.pictures.layout import table
 
-Bind = Callable[[Gaze], BoundField]
-
 
 def gaze_grid(
-    bind: Bind,
+    head: HeadField,
     camera: Camera,
     pitches: Sequence[float] | np.ndarray,
     yaws: Sequence[float] | np.ndarray,
     *,
     crop: tuple[int, int, int, int] | None = None,
-    done: Callable[[], None] | None = None,
+    progress: Progress = silent,
 ) -> np.ndarray:
     """One camera, many gazes: rows are pitch with up on top, columns yaw with the subject's left at the right.
 
     So the eyes of a tile look toward where the tile lies in the grid, as a viewer sees it.
 
     Args:
-        bind: Makes the bound field of a gaze.
+        head: Who is drawn.
         camera: Its size is the size of a tile.
         pitches: Radians, any order.
         yaws: Radians, any order.
         crop: (left, top, right, bottom) pixels of every tile to keep.
-        done: Called after every tile.
+        progress: Told about tiles.
 
     Returns:
         (H, W, 3) uint8.
@@ -50,9 +49,9 @@ def gaze_grid(
     for pitch in down:
         row = []
         for yaw in across:
-            row.append(to_uint8(bind(Gaze(float(pitch), float(yaw))).render(camera).image)[top:bottom, left:right])
-            if done is not None:
-                done()
+            tile = to_uint8(head.at(Gaze(float(pitch), float(yaw))).render(camera).image)
+            row.append(tile[top:bottom, left:right])
+            progress("rendering", len(rows) * len(across) + len(row), len(down) * len(across))
         rows.append(row)
     return table(
         rows, [_degrees(p) for p in down], [_degrees(y) for y in across], row_title="pitch", column_title="yaw"
@@ -60,15 +59,15 @@ def gaze_grid(
 
 
 def contact_sheet(
-    bind: Bind, cameras: Sequence[Camera], gazes: Sequence[Gaze], *, done: Callable[[], None] | None = None
+    head: HeadField, cameras: Sequence[Camera], gazes: Sequence[Gaze], *, progress: Progress = silent
 ) -> np.ndarray:
     """Every gaze from every camera: rows are gazes (pitch, yaw), columns the cameras' yaw about the origin.
 
     Args:
-        bind: Makes the bound field of a gaze.
+        head: Who is drawn.
         cameras: All of one size.
         gazes: Head frame.
-        done: Called after every tile.
+        progress: Told about tiles.
 
     Returns:
         (H, W, 3) uint8.
@@ -80,12 +79,11 @@ def contact_sheet(
         raise UserError("a contact sheet needs at least one view and one gaze")
     rows = []
     for gaze in gazes:
-        bound = bind(gaze)
+        bound = head.at(gaze)
         row = []
         for camera in cameras:
             row.append(bound.render(camera).image)
-            if done is not None:
-                done()
+            progress("rendering", len(rows) * len(cameras) + len(row), len(gazes) * len(cameras))
         rows.append(row)
     names = [f"{_degrees(gaze.pitch)}, {_degrees(gaze.yaw)}" for gaze in gazes]
     views = [_degrees(Gaze.from_vector(camera.position).yaw) for camera in cameras]

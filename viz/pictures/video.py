@@ -42,6 +42,12 @@ def output_kind(path: str | Path) -> str:
     return suffix
 
 
+def first_path(path: str | Path) -> Path:
+    """What is there when a video has been written: the file, the folder, or the first numbered picture."""
+    path = Path(path)
+    return path.parent / (path.name % 0) if "%" in path.name else path
+
+
 def check_video(path: str | Path, width: int, height: int, fps: float) -> str:
     """The kind of a file, if it can hold frames of this size and rate; call before rendering.
 

@@ -66,28 +66,35 @@ def log() -> list:
     return []
 
 
-@pytest.fixture
-def bind(log):
-    def make(gaze: Gaze) -> Ball:
-        log.append(("bind", gaze))
-        return Ball(gaze, log)
+class BallHead:
+    """A head that logs the gazes it is bound to."""
 
-    return make
+    def __init__(self, log: list) -> None:
+        self._log = log
+
+    def at(self, gaze: Gaze) -> Ball:
+        self._log.append(("bind", gaze))
+        return Ball(gaze, self._log)
+
+
+@pytest.fixture
+def head(log):
+    return BallHead(log)
 
 
 def reference(camera: Camera, gaze: Gaze) -> np.ndarray:
     return np.full((camera.height, camera.width, 3), 0.25 + gaze.yaw)
 
 
-def test_panels_are_drawn_in_the_order_asked(bind):
+def test_panels_are_drawn_in_the_order_asked(head):
     names = ("depth", "image", "reference", "normals", "eyes", "opacity", "face")
-    drawn = draw_panels(bind(Gaze()), Camera.neutral(40), names, reference=reference)
+    drawn = draw_panels(head.at(Gaze()), Camera.neutral(40), names, reference=reference)
     assert tuple(drawn) == names and set(names) == set(PANELS)
     assert all(panel.shape == (40, 40, 3) and panel.dtype == np.uint8 for panel in drawn.values())
 
 
-def test_panels_show_what_they_say(bind):
-    drawn = draw_panels(bind(Gaze(0, 0.1)), Camera.neutral(64), PANELS, reference=reference, geometry_size=64)
+def test_panels_show_what_they_say(head):
+    drawn = draw_panels(head.at(Gaze(0, 0.1)), Camera.neutral(64), PANELS, reference=reference, geometry_size=64)
     centre, corner = (32, 32), (2, 2)
     assert drawn["face"][centre][0] == 153 and drawn["eyes"][centre][0] < 60 and drawn["image"][centre][0] < 60
     assert tuple(drawn["opacity"][centre]) == (255,) * 3 and tuple(drawn["opacity"][corner]) == (0,) * 3
@@ -97,15 +104,15 @@ def test_panels_show_what_they_say(bind):
     assert (drawn["reference"] == round((0.25 + 0.1) * 255)).all()
 
 
-def test_only_what_is_asked_is_computed(bind, log):
-    draw_panels(bind(Gaze()), Camera.neutral(256), ("face", "image"))
-    draw_panels(bind(Gaze()), Camera.neutral(256), ("depth", "opacity"))
-    draw_panels(bind(Gaze()), Camera.neutral(256), ("normals",), geometry_size=32)
+def test_only_what_is_asked_is_computed(head, log):
+    draw_panels(head.at(Gaze()), Camera.neutral(256), ("face", "image"))
+    draw_panels(head.at(Gaze()), Camera.neutral(256), ("depth", "opacity"))
+    draw_panels(head.at(Gaze()), Camera.neutral(256), ("normals",), geometry_size=32)
     asked = [entry for entry in log if entry[0] != "bind"]
     assert asked == [("render", ("head", "face")), ("geometry", 128, False), ("geometry", 32, True)]
 
 
-def test_the_fields_own_geometry_is_used_when_it_comes_with_the_picture(bind, log):
+def test_the_fields_own_geometry_is_used_when_it_comes_with_the_picture(head, log):
     class WithGeometry(Ball):
         def render(self, camera, parts=("head",)):
             small = Ball.render_geometry(self, camera.resized(16))
@@ -125,46 +132,46 @@ def test_a_field_of_one_stream_has_no_eyes_to_show(log):
         draw_panels(OneStream(Gaze(), log), Camera.neutral(8), ("image", "eyes"))
 
 
-def test_depth_colours_do_not_flicker_along_an_orbit(bind):
+def test_depth_colours_do_not_flicker_along_an_orbit(head):
     cameras = full_turn(5, size=48)
-    frames = list(render_orbit(bind, cameras, hold(5), ("depth",), geometry_size=48))
+    frames = list(render_orbit(head, cameras, hold(5), ("depth",), geometry_size=48))
     for frame in frames[1:]:
         assert np.abs(frame.astype(int) - frames[0]).mean() < 1.0
 
 
-def test_an_orbit_has_its_frames_and_they_move(bind):
+def test_an_orbit_has_its_frames_and_they_move(head):
     cameras = horizontal(8, size=(48, 32))
-    frames = list(render_orbit(bind, cameras, hold(8, Gaze(0.1, 0.0)), ("image", "eyes", "depth")))
+    frames = list(render_orbit(head, cameras, hold(8, Gaze(0.1, 0.0)), ("image", "eyes", "depth")))
     assert len(frames) == 8
     assert {(frame.shape[1], frame.shape[0]) for frame in frames} == {grid_size(3, 48, 32)}
     assert frame_size(cameras[0], ("image", "eyes", "depth")) == (3 * 48 + 2 * GAP, 32)
     assert np.abs(frames[0].astype(int) - frames[2]).mean() > 0.5
 
 
-def test_the_spot_follows_the_camera_when_the_eyes_look_at_it(bind):
+def test_the_spot_follows_the_camera_when_the_eyes_look_at_it(head):
     cameras = circle(6, size=64)
     gazes = look_at_camera(cameras, eyes=(0, 0, 0))
-    for frame in render_orbit(bind, cameras, gazes, ("eyes",)):
+    for frame in render_orbit(head, cameras, gazes, ("eyes",)):
         rows, columns = np.nonzero(frame[..., 0] < 60)
         assert abs(rows.mean() + 0.5 - 32) < 1 and abs(columns.mean() + 0.5 - 32) < 1
 
 
-def test_binding_happens_only_when_the_gaze_changes(bind, log):
+def test_binding_happens_only_when_the_gaze_changes(head, log):
     gazes = [Gaze(), Gaze(), Gaze(0.1), Gaze(0.1), Gaze()]
-    list(render_orbit(bind, full_turn(5, size=16), gazes))
+    list(render_orbit(head, full_turn(5, size=16), gazes))
     assert [entry[1] for entry in log if entry[0] == "bind"] == [Gaze(), Gaze(0.1), Gaze()]
     assert sum(entry[0] == "render" for entry in log) == 5
 
 
-def test_the_same_view_is_drawn_once(bind, log):
-    frames = list(render_orbit(bind, still(4, Camera.neutral(16)), [Gaze(), Gaze(), Gaze(0.3), Gaze(0.3)]))
+def test_the_same_view_is_drawn_once(head, log):
+    frames = list(render_orbit(head, still(4, Camera.neutral(16)), [Gaze(), Gaze(), Gaze(0.3), Gaze(0.3)]))
     assert sum(entry[0] == "render" for entry in log) == 2
     np.testing.assert_array_equal(frames[0], frames[1])
     assert (frames[1] != frames[2]).any()
 
 
-def test_frames_come_one_by_one(bind, log):
-    frames = render_orbit(bind, full_turn(100, size=16), hold(100))
+def test_frames_come_one_by_one(head, log):
+    frames = render_orbit(head, full_turn(100, size=16), hold(100))
     assert not log
     next(frames)
     assert sum(entry[0] == "render" for entry in log) == 1
@@ -179,25 +186,25 @@ def test_frames_come_one_by_one(bind, log):
         (("reference",), "head"),
     ],
 )
-def test_panels_that_cannot_be_drawn_are_refused_before_rendering(bind, log, panels, message):
+def test_panels_that_cannot_be_drawn_are_refused_before_rendering(head, log, panels, message):
     with pytest.raises(UserError, match=message):
-        render_orbit(bind, circle(3), hold(3), panels)
+        render_orbit(head, circle(3), hold(3), panels)
     assert not log
 
 
-def test_no_frames_and_unmatched_paths(bind):
+def test_no_frames_and_unmatched_paths(head):
     with pytest.raises(UserError, match="--frames"):
-        render_orbit(bind, [], [])
+        render_orbit(head, [], [])
     with pytest.raises(ValueError, match="one gaze a camera"):
-        render_orbit(bind, circle(3), hold(2))
+        render_orbit(head, circle(3), hold(2))
     with pytest.raises(ValueError, match="one size"):
-        render_orbit(bind, [Camera.neutral(8), Camera.neutral(9)], hold(2))
+        render_orbit(head, [Camera.neutral(8), Camera.neutral(9)], hold(2))
 
 
-def test_the_sidecar_tells_every_camera_and_gaze(bind, tmp_path):
+def test_the_sidecar_tells_every_camera_and_gaze(head, tmp_path):
     cameras, gazes = circle(4, size=32), [Gaze.from_degrees(5, -10)] * 4
     sidecar = orbit_sidecar(
-        bind(gazes[0]), cameras, gazes, panels=("image",), fps=30.0, about={"camera_path": "circle"}
+        head.at(gazes[0]), cameras, gazes, panels=("image",), fps=30.0, about={"camera_path": "circle"}
     )
     path = write_sidecar(tmp_path / "o.mp4", sidecar)
     read = json.loads(path.read_text())

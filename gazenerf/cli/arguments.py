@@ -1,0 +1,103 @@
+"""What several commands take: a source, a place for what they write, and a gaze."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gazenerf.errors import UserError
+from gazenerf.options import option
+
+if TYPE_CHECKING:
+    from gazenerf.geometry import Gaze
+    from gazenerf.heads import Head
+
+
+@dataclass(frozen=True, kw_only=True)
+class SourceArguments:
+    """Whose head, by which field.
+
+    Attributes:
+        subject: A bundled name or a subject file; the first bundled one by default.
+        checkpoint: Weights; the bundled ones by default.
+    """
+
+    subject: str | None = option(
+        None, "a bundled name or a subject file (default: the first bundled; see `gazenerf subjects`)", metavar="S"
+    )
+    checkpoint: Path | None = option(None, "weights (default: the bundled field)", metavar="FILE")
+
+    def load(self) -> Head:
+        """The head.
+
+        Raises:
+            UserError: the field or the subject cannot be read or do not fit, or nothing is bundled.
+        """
+        from gazenerf.loading import load
+
+        return load(self.subject, self.checkpoint)
+
+
+@dataclass(frozen=True, kw_only=True)
+class VideoArguments:
+    """Where a video goes.
+
+    Attributes:
+        out: A video file, a pattern of numbered pictures, or a folder.
+        overwrite: Replace what is there.
+    """
+
+    out: Path = option(help=".mp4, .gif, .webp, frames/%%04d.png, or a folder for numbered pictures", metavar="FILE")
+    overwrite: bool = option(False, "replace what is at --out")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PictureArguments:
+    """Where a picture goes.
+
+    Attributes:
+        out: A picture file.
+        overwrite: Replace what is there.
+    """
+
+    out: Path = option(help=".png, .jpg or .webp picture", metavar="FILE")
+    overwrite: bool = option(False, "replace what is at --out")
+
+
+@dataclass(frozen=True, kw_only=True)
+class GazeArguments:
+    """Where the eyes look.
+
+    Attributes:
+        gaze: Pitch and yaw, degrees.
+    """
+
+    gaze: tuple[float, float] = option(
+        (0.0, 0.0),
+        "where the eyes look, degrees: pitch up, yaw to the subject's left (default: 0 0)",
+        metavar=("PITCH", "YAW"),
+    )
+
+    def checked_gaze(self) -> Gaze:
+        """The gaze.
+
+        Raises:
+            UserError: an angle is not finite, or 90 degrees or more.
+        """
+        return checked_gaze(self.gaze)
+
+
+def checked_gaze(angles: tuple[float, float]) -> Gaze:
+    """A gaze from (pitch, yaw) in degrees.
+
+    Raises:
+        UserError: an angle is not finite, or 90 degrees or more.
+    """
+    from gazenerf.geometry import Gaze
+
+    pitch, yaw = angles
+    if not all(math.isfinite(angle) and abs(angle) < 90.0 for angle in (pitch, yaw)):
+        raise UserError(f"--gaze {pitch:g} {yaw:g}: both angles must lie between -90 and 90 degrees")
+    return Gaze.from_degrees(pitch, yaw)

@@ -1,0 +1,138 @@
+"""A training run as people ask for it: captures, preset and settings to a trained field."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from gazenerf.checkpoints import load_field
+from gazenerf.data import CaptureSet
+from gazenerf.errors import UserError
+from gazenerf.field.config import PRESETS as FIELD_PRESETS
+from gazenerf.options import option
+from gazenerf.progress import Progress, silent
+from gazenerf.training.config import PRESETS, TrainConfig
+from gazenerf.training.gaze_estimator import load_gaze_estimator
+from gazenerf.training.loop import FIELD, TrainingStep, train
+from gazenerf.training.perceptual import load_perceptual
+from gazenerf.training.runtime import Runtime
+from gazenerf.training.split import eyeballs_of, split_captures
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainOptions:
+    """What a run learns from, how, and where.
+
+    Attributes:
+        data: Folder of captures.
+        out: Folder of the run.
+        preset: A name of `gazenerf.training.config.PRESETS`.
+        resume: Continue the run in `out`.
+        initial: Start from this checkpoint.
+        held_out: People (the last ones) never trained on.
+        held_out_views: Share of the views of each person kept out.
+        settings: `KEY=VALUE` that change the preset.
+        device, devices, precision: See `Runtime`.
+        stop_after: Save and stop after so many minutes.
+        gaze_estimator: For the functional loss; the bundled one by default.
+    """
+
+    data: Path = option(help="captures from `gazenerf synthesize`", metavar="DIR")
+    out: Path = option(help="where the run is written", metavar="DIR")
+    preset: str = option("small", "small (default), paper or tiny", metavar="NAME")
+    resume: bool = option(False, "continue the run in --out")
+    initial: Path | None = option(None, "start from this checkpoint", flag="--from", metavar="FILE")
+    held_out: int = option(1, "people (the last ones) never trained on", metavar="N")
+    held_out_views: float = option(0.05, "views of each person kept out", metavar="SHARE")
+    settings: tuple[str, ...] = option((), "change settings of the preset", flag="--set", metavar="KEY=VALUE")
+    device: str = option("auto", "where to compute (default: auto)", choices=("auto", "cpu", "cuda"))
+    devices: int = option(1, "data-parallel over N devices", metavar="N")
+    precision: str = option("auto", "of products (default: auto)", choices=("auto", "float32", "bfloat16"))
+    stop_after: float | None = option(None, "save and stop after this long", metavar="MINUTES")
+    gaze_estimator: Path | None = option(None, "estimator for the functional loss", metavar="FILE")
+
+
+def train_field(options: TrainOptions, progress: Progress = silent) -> Path | None:
+    """Train a field.
+
+    Args:
+        options: See `TrainOptions`.
+        progress: Told about steps, with the loss.
+
+    Returns:
+        The field's file; None in a process of a parallel run that writes nothing.
+
+    Raises:
+        UserError: unknown settings, nothing to learn from, or what `gazenerf.training.loop.train` refuses.
+    """
+    config = chosen_config(options)
+    captures = CaptureSet(options.data)
+    learned, watched = split_captures(captures, options.held_out, options.held_out_views)
+    if not learned:
+        raise UserError("nothing is left to train on; lower --held-out or --held-out-views")
+    identity, expression, texture, illumination = learned[0].codes.sizes
+    field_config = replace(
+        FIELD_PRESETS[config.field_preset],
+        identity=identity,
+        expression=expression,
+        texture=texture,
+        illumination=illumination,
+        image_size=learned[0].image.shape[0],
+    )
+    field_config = replace(field_config, **config.field_overrides)
+    features = estimate_gaze = None
+    if config.perceptual:
+        try:
+            features = load_perceptual(config.perceptual_backbone)
+        except UserError as error:
+            raise UserError(f"{error}; or train without it: --set perceptual=0") from error
+    if config.functional:
+        estimate_gaze = load_gaze_estimator(options.gaze_estimator)
+    runtime = Runtime(options.device, options.devices, options.precision)
+
+    def on_step(state: TrainingStep) -> None:
+        progress(f"training, loss {sum(state.parts.values()):.4f}", state.step, state.steps)
+
+    train(
+        learned,
+        field_config,
+        config,
+        options.out,
+        held_out=watched,
+        eyeballs=eyeballs_of(learned) if config.eyeball else None,
+        features=features,
+        estimate_gaze=estimate_gaze,
+        runtime=runtime,
+        resume=options.resume,
+        initial=None if options.initial is None else load_field(options.initial),
+        stop_after=options.stop_after,
+        about={"preset": options.preset, "data": captures.manifest},
+        on_step=on_step,
+    )
+    return options.out / FIELD if runtime.rank == 0 else None
+
+
+def chosen_config(options: TrainOptions) -> TrainConfig:
+    """The preset with its changed settings.
+
+    Raises:
+        UserError: unknown preset or setting.
+    """
+    if options.preset not in PRESETS:
+        raise UserError(f"unknown preset {options.preset!r}; there are {', '.join(PRESETS)}")
+    settings = PRESETS[options.preset].to_dict() | dict(_setting(text) for text in options.settings)
+    try:
+        return TrainConfig.from_dict(settings)
+    except (ValueError, TypeError) as error:
+        raise UserError(f"--set: {error}") from error
+
+
+def _setting(text: str) -> tuple[str, object]:
+    key, separator, value = text.partition("=")
+    if not separator:
+        raise UserError(f"--set {text}: write KEY=VALUE")
+    try:
+        return key, json.loads(value)
+    except json.JSONDecodeError:
+        return key, value

@@ -1,0 +1,66 @@
+"""An evaluation from a folder of captures to its report."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from gazenerf.checkpoints import save_field
+from gazenerf.data import SynthesizeOptions, synthesize
+from gazenerf.errors import UserError
+from gazenerf.evaluation.run import EvaluateOptions, evaluate
+from gazenerf.training.run import TrainOptions, chosen_config, train_field
+from tests.field_doubles import make_field, tiny_config
+
+
+@pytest.fixture(scope="module")
+def captures(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("captures")
+    try:
+        synthesize(folder, SynthesizeOptions(people=2, views=4, size=32, seed=3))
+    except UserError as error:
+        pytest.skip(str(error))
+    return folder
+
+
+def test_captures_become_a_field_and_a_report(captures: Path, tmp_path: Path) -> None:
+    settings = ("steps=2", "batch=1", "perceptual=0", 'field_overrides={"feature_size": 16}')
+    told: list[tuple[str, int, int]] = []
+    options = TrainOptions(
+        data=captures, out=tmp_path / "run", preset="tiny", held_out=1, held_out_views=0.3, settings=settings,
+        device="cpu", precision="float32",
+    )  # fmt: skip
+    field = train_field(options, lambda *step: told.append(step))
+    assert field is not None and field.is_file() and [step[1:] for step in told] == [(1, 2), (2, 2)]
+    found = evaluate(
+        EvaluateOptions(
+            data=captures, out=tmp_path / "quality.json", checkpoint=field, held_out=1, held_out_views=0.3, limit=1,
+            iris=False,
+        )
+    )  # fmt: skip
+    report = json.loads(found.file.read_text())
+    assert report["unseen_people"] == [1] and report["unseen"]["captures"] == 1 == found.groups["unseen"]["captures"]
+    assert report["people"]["1"]["psnr_head"] == found.people["1"]["psnr_head"]
+
+
+def test_captures_of_another_head_model_are_refused(captures: Path, tmp_path: Path) -> None:
+    save_field(make_field(tiny_config()), tmp_path / "other.safetensors")
+    options = EvaluateOptions(data=captures, out=tmp_path / "q.json", checkpoint=tmp_path / "other.safetensors")
+    with pytest.raises(UserError, match="the field takes"):
+        evaluate(options)
+    assert not (tmp_path / "q.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"preset": "huge"}, "small, tiny, paper"),
+        ({"settings": ("steps",)}, "KEY=VALUE"),
+        ({"settings": ("stepz=3",)}, "unknown training settings: stepz"),
+    ],
+)
+def test_unknown_settings_are_one_line(change: dict, message: str) -> None:
+    with pytest.raises(UserError, match=message):
+        chosen_config(TrainOptions(**({"data": Path("d"), "out": Path("o")} | change)))
