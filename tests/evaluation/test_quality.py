@@ -62,8 +62,10 @@ def ball_mesh() -> HeadMesh:
     )  # fmt: skip
 
 
-def test_known_errors_come_out_as_they_are(ball_mesh):
-    model = SimpleNamespace(bind=lambda subject, gaze, **options: _Wrong(), config=SimpleNamespace(image_size=SIZE))
+def test_known_errors_come_out_as_they_are(ball_mesh, monkeypatch):
+    wrong = SimpleNamespace(at=lambda gaze: _Wrong())
+    monkeypatch.setattr("gazenerf.evaluation.quality.Head", lambda model, subject, **options: wrong)
+    model = SimpleNamespace(config=SimpleNamespace(image_size=SIZE))
     head_model = SimpleNamespace(mesh=lambda codes, gaze: ball_mesh)
     off = float(np.deg2rad(4.0))
 

@@ -19,7 +19,7 @@ from tests.field_doubles import make_field, tiny_config
 def captures(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("captures")
     try:
-        synthesize(folder, SynthesizeOptions(people=2, views=4, size=32, seed=3))
+        synthesize(folder, SynthesizeOptions(people=2, views=4, size=64, seed=3))
     except UserError as error:
         pytest.skip(str(error))
     return folder
