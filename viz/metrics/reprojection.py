@@ -91,11 +91,9 @@ class Carried:
 
 def carry(a: DepthView, b: DepthView) -> Carried:
     """Carry every pixel of A by its depth into B and, by B's depth there, back."""
-    rays_o, rays_d = a.camera.rays()
     seen = np.isfinite(a.depth)
     shape = a.depth.shape
-    points = np.full((*shape, 3), np.nan)
-    points[seen] = rays_o[seen] + a.depth[seen][:, None] * rays_d[seen]
+    points = a.camera.unproject(a.depth)
     pixels = np.full((*shape, 2), np.nan)
     pixels[seen], z = b.camera.project(points[seen])
     there = np.full(shape, np.nan)
@@ -105,7 +103,7 @@ def carry(a: DepthView, b: DepthView) -> Carried:
     judged[judged] = (distance - there)[judged] < BEHIND
     gap, depth_gap = np.full(shape, np.nan), np.full(shape, np.nan)
     if judged.any():
-        back = b.camera.position + there[judged, None] * b.camera.rays(pixels[judged])[1]
+        back = b.camera.unproject(there[judged], pixels[judged])
         returned, _ = a.camera.project(back)
         gap[judged] = np.linalg.norm(returned - a.camera.pixel_centres()[judged], axis=1)
         depth_gap[judged] = np.abs(np.linalg.norm(back - a.camera.position, axis=1) - a.depth[judged])

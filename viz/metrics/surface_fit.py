@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 
 
 @dataclass(frozen=True)
@@ -77,19 +78,9 @@ def align(
         if scale:
             columns.append((here * normal).sum(-1, keepdims=True))
         step, *_ = np.linalg.lstsq(np.concatenate(columns, axis=1), ((target - here) * normal).sum(-1), rcond=None)
-        turn = _rotation(step[:3])
+        turn = Rotation.from_rotvec(step[:3]).as_matrix()
         grow = 1.0 + float(step[6]) if scale else 1.0
         found = Alignment(turn @ found.rotation, grow * turn @ found.translation + step[3:6], grow * found.scale)
         if np.abs(step).max() < 1e-7:
             break
     return found
-
-
-def _rotation(vector: np.ndarray) -> np.ndarray:
-    """(3, 3) rotation about a vector (3,) by its length in radians."""
-    angle = float(np.linalg.norm(vector))
-    if angle < 1e-15:
-        return np.eye(3)
-    x, y, z = vector / angle
-    k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * k @ k

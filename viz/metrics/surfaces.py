@@ -1,49 +1,20 @@
-"""Two surfaces compared as points with normals, before and after a rigid fit.
-
-The points are what the views show: each pixel's depth along its ray. A surface that no view shows is
-not judged.
-"""
+"""The field's surface against the reference's: distances before and after a rigid fit, the fits, and the eyes."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from gazenerf.evaluation.face_crop import FaceCrop, face_crop
 from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, HeadMesh
-from gazenerf.viz.metrics.agreement import DepthView, eroded
+from gazenerf.viz.metrics.agreement import DepthView
 from gazenerf.viz.metrics.definitions import COSINE, NOT_NEGATIVE, SHARE, Definition, Finding
 from gazenerf.viz.metrics.error_bars import jackknife
+from gazenerf.viz.metrics.surface_agreement import surface_agreement, surface_samples
 from gazenerf.viz.metrics.surface_fit import SurfaceSamples, align
 from gazenerf.viz.reference.views import ReferenceView
-
-F_LIMITS_MM = (1.0, 2.0, 5.0)
-"""Distances of the F-score."""
-
-SURFACE_GAUGES = (
-    "surface_accuracy_mm",
-    "surface_completeness_mm",
-    "chamfer_mm",
-    "normal_consistency",
-    *(f"f_score_{limit:g}mm" for limit in F_LIMITS_MM),
-    "chamfer_aligned_mm",
-    "face_accuracy_mm",
-    "face_completeness_mm",
-    "face_chamfer_mm",
-    "face_chamfer_aligned_mm",
-    "frame_shift_mm",
-    "frame_turn_deg",
-    "scale_percent",
-    "eye_centre_mm",
-)
-"""What `measure_surfaces` gives: distances without alignment, the Chamfer distance after a rigid fit, the
-same in the NoW face crop, the shift (at the world's origin), turn and size of a similarity fit, and how
-far the worse eye's sphere is from the reference's. The size is by how many per cent the field is larger
-than the reference. Shift and turn are the similarity's, since a rigid fit turns a difference of size into
-both."""
 
 AS_SURFACES = "Field against the reference, as surfaces"
 FACE_CROP = "Field against the reference, face crop"
@@ -180,92 +151,14 @@ DEFINITIONS = (
 """Field against the reference as surfaces: distances, in the face crop too, and how field and head model differ."""
 
 
+NAMES = tuple(definition.name for definition in DEFINITIONS)
+"""What `measure_surfaces` gives. Shift and turn are those of a similarity fit, since a rigid one turns a difference in
+size into both; `scale_percent` has a sign here, positive where the field is larger."""
+
 LEFT_EYE, RIGHT_EYE = EYE_LEFT + 1, EYE_RIGHT + 1
 """Values of `ReferenceView.parts`."""
 
 MIN_SAMPLES, MIN_EYE_PIXELS = 200, 40
-
-
-@dataclass(frozen=True)
-class SurfaceAgreement:
-    """How far two surfaces are apart.
-
-    Attributes:
-        accuracy_mm: Mean distance from the field's points to the reference's surface.
-        completeness_mm: Mean distance from the reference's points to the field's surface.
-        chamfer_mm: Mean of the two.
-        normal_consistency: Mean cosine between normals of nearest points, both ways.
-        f_score: Limit in mm to F-score in [0, 1]; 0 when precision and recall are both 0.
-    """
-
-    accuracy_mm: float
-    completeness_mm: float
-    chamfer_mm: float
-    normal_consistency: float
-    f_score: dict[str, float]
-
-
-def surface_samples(views: Sequence[DepthView], count: int, seed: int = 0) -> SurfaceSamples:
-    """At most `count` random points of what views show, one pixel inside their silhouettes.
-
-    Args:
-        views: With depth and normals.
-        count: Most points to keep.
-        seed: Of the choice.
-    """
-    points, normals = [], []
-    for view in views:
-        if view.normals is None:
-            raise ValueError("surface samples need views with normals")
-        seen = eroded(np.isfinite(view.depth))
-        seen &= np.isfinite(view.normals).all(axis=-1)
-        rays_o, rays_d = view.camera.rays()
-        points.append(rays_o[seen] + view.depth[seen][:, None] * rays_d[seen])
-        normals.append(view.normals[seen].astype(np.float64))
-    stacked, directions = np.concatenate(points), np.concatenate(normals)
-    if len(stacked) > count:
-        chosen = np.random.default_rng(seed).choice(len(stacked), count, replace=False)
-        stacked, directions = stacked[chosen], directions[chosen]
-    return SurfaceSamples(stacked, directions)
-
-
-def surface_agreement(
-    field: SurfaceSamples, reference: SurfaceSamples, metres_per_unit: float, crop: FaceCrop | None = None
-) -> SurfaceAgreement:
-    """Distances both ways between surfaces of at least one sample each.
-
-    The distance of a point is that to the tangent plane of the nearest sample within three sample
-    spacings, and to the sample beyond.
-
-    Args:
-        crop: Judge points inside it only; each side is still measured to the whole of the other.
-    """
-    there, cosine_there = _distances(field.points, field.normals, reference)
-    back, cosine_back = _distances(reference.points, reference.normals, field)
-    if crop is not None:
-        mine, theirs = crop.contains(field.points), crop.contains(reference.points)
-        there, cosine_there, back, cosine_back = there[mine], cosine_there[mine], back[theirs], cosine_back[theirs]
-    there, back = 1000.0 * metres_per_unit * there, 1000.0 * metres_per_unit * back
-    scores = {}
-    for limit in F_LIMITS_MM:
-        precision, recall = float((there <= limit).mean()), float((back <= limit).mean())
-        both = precision + recall
-        scores[f"{limit:g}"] = 2.0 * precision * recall / both if both > 0 else 0.0
-    accuracy, completeness = float(there.mean()), float(back.mean())
-    cosine = 0.5 * float(cosine_there.mean() + cosine_back.mean())
-    return SurfaceAgreement(accuracy, completeness, 0.5 * (accuracy + completeness), cosine, scores)
-
-
-def _distances(points: np.ndarray, normals: np.ndarray, surface: SurfaceSamples) -> tuple[np.ndarray, np.ndarray]:
-    """Distances (N,) of points from a surface, and cosines (N,) between the normals."""
-    tree = KDTree(surface.points)
-    gap, nearest = tree.query(points)
-    some = surface.points[:: max(1, len(surface.points) // 500)]
-    spacing = float(np.median(np.asarray(tree.query(some, k=2)[0])[:, 1]))
-    gap, nearest = np.asarray(gap), np.asarray(nearest)
-    planes = np.abs(((points - surface.points[nearest]) * surface.normals[nearest]).sum(-1))
-    cosine = (normals * surface.normals[nearest]).sum(-1)
-    return np.where(gap <= 3.0 * spacing + planes, np.minimum(planes, gap), gap), cosine
 
 
 def measure_surfaces(
@@ -287,42 +180,45 @@ def measure_surfaces(
         seed: Of the samples.
 
     Returns:
-        `SURFACE_GAUGES` to value; NaN where too little is seen, or the mesh has no landmarks for a face crop.
+        `NAMES` to value; NaN where too little is seen, or the mesh has no landmarks for a face crop.
     """
     mm = 1000.0 * metres_per_unit
     mine, theirs = surface_samples(views, count, seed), surface_samples(references, count, seed + 1)
     if min(len(mine.points), len(theirs.points)) < MIN_SAMPLES:
-        return dict.fromkeys(SURFACE_GAUGES, float("nan"))
+        return dict.fromkeys(NAMES, math.nan)
     plain = surface_agreement(mine, theirs, metres_per_unit)
     rigid, similar = align(mine, theirs), align(mine, theirs, scale=True)
     fitted = surface_agreement(mine.moved(rigid), theirs, metres_per_unit)
-    values = (
-        plain.accuracy_mm, plain.completeness_mm, plain.chamfer_mm, plain.normal_consistency,
-        *(plain.f_score[f"{limit:g}"] for limit in F_LIMITS_MM),
-        fitted.chamfer_mm,
-        *_face(mine, theirs, face_crop(mesh), metres_per_unit),
-        float(np.linalg.norm(similar.translation)) * mm,
-        float(np.rad2deg(similar.angle)),
-        100.0 * (1.0 / similar.scale - 1.0),
-        _eyes_apart(views, references, mesh) * mm,
-    )  # fmt: skip
-    return dict(zip(SURFACE_GAUGES, values, strict=True))
+    return {
+        "surface_accuracy_mm": plain.accuracy_mm,
+        "surface_completeness_mm": plain.completeness_mm,
+        "chamfer_mm": plain.chamfer_mm,
+        "chamfer_aligned_mm": fitted.chamfer_mm,
+        "normal_consistency": plain.normal_consistency,
+        **{f"f_score_{limit}mm": score for limit, score in plain.f_score.items()},
+        **_face(mine, theirs, face_crop(mesh), metres_per_unit),
+        "frame_shift_mm": float(np.linalg.norm(similar.translation)) * mm,
+        "frame_turn_deg": float(np.rad2deg(similar.angle)),
+        "scale_percent": 100.0 * (1.0 / similar.scale - 1.0),
+        "eye_centre_mm": _eyes_apart(views, references, mesh) * mm,
+    }
 
 
 def _face(
     mine: SurfaceSamples, theirs: SurfaceSamples, crop: FaceCrop | None, metres_per_unit: float
-) -> tuple[float, float, float, float]:
-    """Accuracy, completeness and Chamfer distance in the face crop, and the last after a rigid fit of the crop, mm."""
-    nothing = float("nan")
+) -> dict[str, float]:
+    """The metrics of the face crop; NaN without a crop, or where it holds too few samples."""
+    names = ("face_accuracy_mm", "face_completeness_mm", "face_chamfer_mm", "face_chamfer_aligned_mm")
     if crop is None:
-        return nothing, nothing, nothing, nothing
+        return dict.fromkeys(names, math.nan)
     inside = crop.contains(mine.points)
     if min(inside.sum(), crop.contains(theirs.points).sum()) < MIN_SAMPLES:
-        return nothing, nothing, nothing, nothing
+        return dict.fromkeys(names, math.nan)
     plain = surface_agreement(mine, theirs, metres_per_unit, crop)
     rigid = align(SurfaceSamples(mine.points[inside], mine.normals[inside]), theirs)
     fitted = surface_agreement(mine.moved(rigid), theirs, metres_per_unit, crop)
-    return plain.accuracy_mm, plain.completeness_mm, plain.chamfer_mm, fitted.chamfer_mm
+    values = (plain.accuracy_mm, plain.completeness_mm, plain.chamfer_mm, fitted.chamfer_mm)
+    return dict(zip(names, values, strict=True))
 
 
 def surface_errors(
@@ -350,7 +246,7 @@ def surface_errors(
         )
         for left_out in range(groups if groups > 1 else 0)
     ]  # fmt: skip
-    return {name: jackknife([values[name] for values in found]) for name in SURFACE_GAUGES}
+    return {name: jackknife([values[name] for values in found]) for name in NAMES}
 
 
 def _eyes_apart(views: Sequence[DepthView], references: Sequence[ReferenceView], mesh: HeadMesh) -> float:
@@ -360,10 +256,7 @@ def _eyes_apart(views: Sequence[DepthView], references: Sequence[ReferenceView],
         pairs = []
         for view, reference in zip(views, references, strict=True):
             both = (reference.parts == part) & np.isfinite(view.depth)
-            rays_o, rays_d = view.camera.rays()
-            pairs.append(
-                [rays_o[both] + depth[both][:, None] * rays_d[both] for depth in (view.depth, reference.depth)]
-            )
+            pairs.append([view.camera.unproject(depth)[both] for depth in (view.depth, reference.depth)])
         mine, theirs = (np.concatenate(points) for points in zip(*pairs, strict=True))
         if len(mine) >= MIN_EYE_PIXELS:
             gap = np.linalg.norm(sphere_centre(mine, mesh.eye_radius) - sphere_centre(theirs, mesh.eye_radius))

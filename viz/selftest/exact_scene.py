@@ -1,4 +1,4 @@
-"""A scene whose every reading is known, with faults of known size: what proves the gauges."""
+"""A scene whose every reading is known, with faults of known size: what proves the metrics."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ORBIT_FADE = 0.07
 """World units around an eye over which skin fades into sclera."""
 
 FEATURE_PIXELS = 4
-"""Picture pixels a pixel of the feature map that the scene pretends to have."""
+"""Picture pixels per pixel of the feature map that the scene pretends to have."""
 
 OPENING_ANGLE = np.deg2rad(50.0)
 """From an eyeball's +Z to its lids, which are drawn by landmarks alone."""
@@ -88,8 +88,7 @@ class SmoothScene(AnalyticField):
             rng = np.random.default_rng([self.seed, camera.width, len(part), *place])
             depth = depth + rng.normal(0.0, self.depth_noise, depth.shape)
         if self.spot and part != "eyes":
-            rays_o, rays_d = camera.rays()
-            points = rays_o + np.nan_to_num(view.depth)[..., None] * rays_d
+            points = camera.unproject(np.nan_to_num(view.depth))
             cheek = np.linalg.norm(points - self._cheek(), axis=-1) < 0.1
             depth = np.where(cheek, depth - self.spot, depth)
         vectors = None

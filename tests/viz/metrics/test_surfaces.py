@@ -1,4 +1,4 @@
-"""Surface gauges on samples whose distance, motion and centre are known."""
+"""Surface metrics on samples whose distance, motion and centre are known."""
 
 from __future__ import annotations
 
@@ -11,14 +11,13 @@ from gazenerf.evaluation.face_crop import face_crop
 from gazenerf.geometry import Camera
 from gazenerf.geometry.gaze import rotation_y
 from gazenerf.heads.analytic import AnalyticField
+from gazenerf.viz.metrics.surface_agreement import surface_agreement, surface_samples
 from gazenerf.viz.metrics.surface_fit import Alignment, SurfaceSamples, align
 from gazenerf.viz.metrics.surfaces import (
-    SURFACE_GAUGES,
+    NAMES,
     measure_surfaces,
     sphere_centre,
-    surface_agreement,
     surface_errors,
-    surface_samples,
 )
 from gazenerf.viz.reference.views import ReferenceView
 from gazenerf.viz.selftest.exact_scene import SmoothScene, scene_mesh
@@ -121,7 +120,7 @@ def test_too_few_samples_are_not_measured():
     gone = AnalyticField(face_scale=0.01).render_geometry(exact.camera, "face", normals=True)
     for field, reference in ((tiny, tiny), (gone, exact)):
         found = measure_surfaces([field], [reference], mesh, 0.1)
-        assert set(found) == set(SURFACE_GAUGES) and np.isnan(list(found.values())).all()
+        assert set(found) == set(NAMES) and np.isnan(list(found.values())).all()
     assert np.isfinite(list(measure_surfaces([exact], [exact], mesh, 0.1).values())).all()
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gazenerf.viz.metrics.definitions import Metric
-from gazenerf.viz.metrics.families import CHECK_DEFINITIONS, FAULT_DEFINITIONS
+from gazenerf.viz.metrics.families import CHECK_DEFINITIONS
 from gazenerf.viz.reference.views import usable
 from gazenerf.viz.selftest.faults import FAULTS, FINDINGS, Fault, findings, read_gauges, table
 
