@@ -212,7 +212,8 @@ def passes(metric: Metric) -> str:
 
 
 def _bound(metric: Metric, limit: float) -> str:
-    return f"{'≥' if metric.definition.higher_is_better else '≤'} {limit:g}"
+    sign = "≥" if metric.definition.higher_is_better else "≤"
+    return f"{sign}\N{NO-BREAK SPACE}{limit:g}"
 
 
 def _row(metric: Metric) -> MeasureRow:

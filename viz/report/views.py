@@ -31,7 +31,7 @@ def opening(result: CheckResult) -> tuple[Block, ...]:
     if not result.views:
         return ()
     around = sorted(result.views, key=lambda view: (view.pitch != 0.0, view.yaw, view.pitch))
-    strip = Gallery(tuple(Picture(thumbnail(view.image), _short_name(view)) for view in around), "strip")
+    strip = Gallery(tuple(Picture(thumbnail(view.image), _long_name(view)) for view in around), "strip")
     first, scale = result.views[0], result.about["metres_per_unit"]
     worst = Gallery(
         (
@@ -58,7 +58,7 @@ def views_section(result: CheckResult) -> Section | None:
     """Depth errors of the views as charts, then every view's pictures, worst first."""
     if not result.views:
         return None
-    names = [_short_name(view) for view in result.views]
+    names = [view.name for view in result.views]
     charts = Gallery(
         (
             bars(
@@ -79,7 +79,8 @@ def views_section(result: CheckResult) -> Section | None:
         "pair",
     )
     intro = Text(
-        "Views are named by the yaw and pitch of the camera; the view with the largest median depth error comes first. "
+        "Views are named by the yaw and pitch of their camera in degrees, such as +30/-15; the one with the largest "
+        "median depth error comes first. "
         "The dashed lines are the largest values that pass: for medians, that of the worst view; for 95th percentiles, "
         "that of their median over the views."
     )
@@ -165,10 +166,6 @@ def thumbnail(picture: np.ndarray) -> str:
     image = Image.fromarray(to_uint8(picture))
     image.thumbnail((THUMBNAIL_PX, THUMBNAIL_PX), Image.Resampling.LANCZOS)
     return photograph(np.asarray(image))
-
-
-def _short_name(view: CheckedView) -> str:
-    return f"{degrees(view.yaw)}/{degrees(view.pitch)}"
 
 
 def _long_name(view: CheckedView) -> str:

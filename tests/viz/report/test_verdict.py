@@ -96,7 +96,7 @@ def test_findings_give_meaning_and_advice_failures_first_and_nothing_of_what_pas
         assert [(metric.label, metric.meaning) for metric in concern.metrics] == [
             (definition.label, definition.meaning)
         ]
-    assert found[1].metrics[0].reading == "3.00 mm, passes ≤ 1.5"
+    assert found[1].metrics[0].reading == "3.00 mm, passes ≤\N{NO-BREAK SPACE}1.5"
 
 
 def test_metrics_that_share_an_advice_are_advised_once():

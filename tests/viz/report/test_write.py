@@ -153,7 +153,7 @@ def test_one_sentence_answers_the_title_before_any_picture(result, tmp_path):
 def test_the_page_opens_with_the_orbit_and_the_worst_view_over_its_reference(result, tmp_path):
     text = write_report(result, tmp_path)[0].read_text()
     opening = text[text.index("</header>") : text.index("<nav")]
-    assert re.findall(r"<figcaption>([+-]\d+°/[+-]\d+°)<", opening) == ["+0°/+0°", "+20°/+0°"], "in the order of yaw"
+    assert re.findall(r"<figcaption>(yaw [+-]\d+°), pitch", opening) == ["yaw +0°", "yaw +20°"], "in the order of yaw"
     assert opening.count("<input") == 1 and "yaw +20°, pitch +0°" in opening
 
 
