@@ -11,7 +11,7 @@ from gazenerf.geometry import Camera
 from gazenerf.head_model.interface import HeadMesh
 
 SAMPLES = 64
-"""Light paths a pixel unless told otherwise; leaves about 2 of 255 levels of noise on skin."""
+"""Light paths per pixel unless told otherwise; leaves about 2 of 255 levels of noise on skin."""
 
 MAX_SAMPLES = 4096
 
@@ -21,7 +21,7 @@ class PathTracer:
 
     Args:
         size: (width, height) of the pictures.
-        samples: Light paths a pixel, 1 to `MAX_SAMPLES`; rounded up to a whole grid.
+        samples: Light paths per pixel, 1 to `MAX_SAMPLES`; rounded up to a whole grid.
 
     Raises:
         UserError: mitsuba cannot be loaded, or `samples` is out of range.

@@ -19,6 +19,9 @@ from gazenerf.head_model import HeadMesh
 
 RENDERERS = ("mitsuba", "pyrender", "open3d")
 
+PATHS = 16
+"""Light paths per pixel of Mitsuba's pictures."""
+
 FIXES = {
     "mitsuba": "pip install mitsuba",
     "pyrender": "install libegl1 (Debian: apt-get install libegl1)",
@@ -151,12 +154,12 @@ def _open3d(mesh: HeadMesh, cameras: list[Camera], illumination: np.ndarray | No
 
 
 def _mitsuba(mesh: HeadMesh, cameras: list[Camera], illumination: np.ndarray | None) -> list[ReferenceView]:
-    from gazenerf.viz.reference.mitsuba_views import MitsubaScene
+    from gazenerf.data.mitsuba_scene import MitsubaScene
 
-    scene = MitsubaScene(mesh, illumination)
+    scene = MitsubaScene(mesh, illumination, catchlight=False)
     views = []
     for camera in cameras:
         depth, normals, parts = scene.geometry(camera)
-        picture = None if illumination is None else scene.picture(camera)
+        picture = None if illumination is None else scene.picture(camera, PATHS)
         views.append(ReferenceView(camera, depth, normals, parts, "mitsuba", picture))
     return views
