@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 
 from gazenerf.heads.interface import GeometryView, Part
+from gazenerf.viz.check.options import crossed
 from gazenerf.viz.metrics.agreement import Agreement
 from gazenerf.viz.metrics.definitions import Metric, check_names
 from gazenerf.viz.metrics.drift import Drift
 from gazenerf.viz.metrics.eyes import EyeSweep
 from gazenerf.viz.metrics.families import CHECK_DEFINITIONS, CHECK_VERSION
+from gazenerf.viz.metrics.orbit_pictures import OrbitPictures, pair_rows
 from gazenerf.viz.metrics.pairs import PairReading
 from gazenerf.viz.metrics.reprojection import Reprojection
 from gazenerf.viz.reference.views import ReferenceView
@@ -70,7 +73,7 @@ class CheckResult:
             orbit's first frame on top.
         strip_degrees: Yaw of the first and the last row of a strip.
         notes: Sentences a reader must see, such as what was left out and why.
-        extra: Whatever other gauges add to report.json, by name; plain values.
+        orbit: Pictures of an orbit against their cameras, None when not measured.
     """
 
     metrics: tuple[Metric, ...]
@@ -87,7 +90,7 @@ class CheckResult:
     strips: dict[str, np.ndarray] = field(default_factory=dict)
     strip_degrees: tuple[float, float] = (math.nan, math.nan)
     notes: tuple[str, ...] = ()
-    extra: dict[str, Any] = field(default_factory=dict)
+    orbit: OrbitPictures | None = None
 
     def metric(self, name: str) -> Metric:
         """A metric by name.
@@ -97,6 +100,14 @@ class CheckResult:
         """
         check_names([name], CHECK_DEFINITIONS)
         return next(metric for metric in self.metrics if metric.name == name)
+
+    def crossed(self, fail_on: Sequence[str]) -> tuple[str, ...]:
+        """Names of the metrics that are worse than a limit, or were not measured; limits as NAME=X.
+
+        Raises:
+            UserError: not NAME=NUMBER, or there is no such metric.
+        """
+        return crossed(self.metrics, fail_on)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for report.json; NaN becomes null, pictures are left out."""
@@ -129,9 +140,15 @@ class CheckResult:
                 "renderers": list(self.renderers),
                 "missing_renderers": self.missing,
                 "notes": list(self.notes),
-                **self.extra,
+                **self._orbit_rows(),
             }
         )
+
+    def _orbit_rows(self) -> dict[str, Any]:
+        if self.orbit is None:
+            return {}
+        rows: dict[str, Any] = {"tsed_pairs": pair_rows(self.orbit.tsed, self.orbit.names)}
+        return rows if self.orbit.motion is None else rows | {"structure_from_motion": asdict(self.orbit.motion)}
 
 
 def plain(value: Any) -> Any:

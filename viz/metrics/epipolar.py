@@ -7,7 +7,7 @@ vertical lines, texture that flickers broken ones.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -15,12 +15,20 @@ from gazenerf.geometry import Camera
 from gazenerf.heads.interface import BoundField
 from gazenerf.viz.metrics.stream_views import CELLS, check_picture, window_camera
 
+S = TypeVar("S")
+T = TypeVar("T")
+
 FRAMES, SWEEP_DEGREES = 24, 20.0
 MARGIN = 24
 """Pixels rendered above and below the rows, more than an up-sampler's neighbourhood."""
 
-Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
-"""The built-in `map`, or an executor's."""
+
+class Map(Protocol):
+    """The built-in `map`, or an executor's."""
+
+    def __call__(self, do: Callable[[S], T], items: Iterable[S], /) -> Iterable[T]:
+        """What a function makes of each item, in their order."""
+        ...
 
 
 def strip_cameras(size: int, frames: int = FRAMES, degrees: float = SWEEP_DEGREES) -> list[Camera]:

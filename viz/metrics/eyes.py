@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,12 +13,13 @@ from gazenerf.evaluation.surface import surface_points
 from gazenerf.export.mesh.sphere_fit import fit_sphere
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model import HeadMesh
-from gazenerf.heads.interface import BoundField
+from gazenerf.heads.interface import BoundField, HeadField
 from gazenerf.image_metrics import psnr
 from gazenerf.viz.metrics.definitions import DECIBELS, NOT_NEGATIVE, Definition, Finding
 from gazenerf.viz.metrics.drift import picture_silhouette
 from gazenerf.viz.metrics.epipolar import Map
-from gazenerf.viz.metrics.stream_views import check_picture, stream_parts, window_around, window_camera
+from gazenerf.viz.metrics.reference import Reference
+from gazenerf.viz.metrics.stream_views import check_picture, window_around, window_camera
 from gazenerf.viz.metrics.surface_fit import Alignment, SurfaceSamples, align
 
 EYES = ("left", "right")
@@ -235,19 +236,12 @@ class _Frame:
     eyes: np.ndarray
 
 
-def sweep_eyes(
-    bind: Callable[[Gaze], BoundField],
-    mesh_at: Callable[[Gaze], HeadMesh],
-    gazes: Sequence[Gaze],
-    size: int,
-    *,
-    run: Map = map,
-) -> EyeSweep:
+def sweep_eyes(head: HeadField, reference: Reference, gazes: Sequence[Gaze], size: int, *, run: Map = map) -> EyeSweep:
     """Look at the eyes at several gazes.
 
     Args:
-        bind: The subject's field at a gaze.
-        mesh_at: The reference head at a gaze, world units; tells where eyeballs and lids are.
+        head: The field.
+        reference: Tells where eyeballs and lids are.
         gazes: The first is what the others are compared with.
         size: Of the pictures, pixels.
         run: How gazes are worked through.
@@ -257,8 +251,8 @@ def sweep_eyes(
     """
     if not gazes:
         raise UserError("a sweep of the eyes needs at least one gaze")
-    frames = list(run(lambda gaze: _look(bind(gaze), mesh_at(gaze), size), gazes))
-    mesh = mesh_at(gazes[0])
+    frames = list(run(lambda gaze: _look(head.at(gaze), reference.at(gaze), size), gazes))
+    mesh = reference.at(gazes[0])
     mm = 1000.0 * mesh.metres_per_unit
     nothing = np.full(2, np.nan)
     measured = {
@@ -311,7 +305,7 @@ def _look(bound: BoundField, mesh: HeadMesh, size: int) -> _Frame:
         if whole is camera:
             front, eyes = pictures[-1], image[window]
     assert front is not None and eyes is not None
-    two = "eyes" in stream_parts(bound)
+    two = "eyes" in bound.parts
     return _Frame(
         iris_gaze(pictures, mesh),
         _spheres(bound, mesh, size) if two else {eye: (np.full(3, np.nan), float("nan")) for eye in EYES},

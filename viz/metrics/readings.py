@@ -1,42 +1,35 @@
-"""From readings of views, pairs, pictures and eyes to the numbers of the verdict and their error bars."""
+"""From what views, pairs, pictures and eyes show to the values of the metrics and their error bars."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
 from gazenerf.heads.interface import Part
-from gazenerf.viz.check.result import CheckedView
 from gazenerf.viz.metrics.agreement import Agreement
+from gazenerf.viz.metrics.colmap import NO_MODEL, StructureFromMotion
 from gazenerf.viz.metrics.drift import Drift
-from gazenerf.viz.metrics.error_bars import bootstrap
+from gazenerf.viz.metrics.error_bars import UNKNOWN, Reading, bootstrap, share_error, summary
 from gazenerf.viz.metrics.eyes import EYES, EyeSweep, gaze_errors, gaze_response
+from gazenerf.viz.metrics.frame_warps import Warp
 from gazenerf.viz.metrics.pairs import PairReading
+from gazenerf.viz.metrics.tsed import MIN_MATCHES, THRESHOLDS_PX, Tsed
 
-Measured = dict[str, tuple[float, float]]
-"""Name to value and half width of its 95 % interval."""
+Readings = dict[str, Reading]
+"""Name of a metric to its value and error bar."""
 
-
-def summary(values: Sequence[float], reduce: Callable[..., Any] = np.median) -> tuple[float, float]:
-    """A statistic of the finite values and its bootstrapped error; extremes have no error bar."""
-    known = np.asarray(values, dtype=np.float64)
-    known = known[np.isfinite(known)]
-    if not len(known):
-        return math.nan, math.nan
-    bar = math.nan if reduce in (np.max, np.min) else bootstrap(known, reduce)
-    return float(reduce(known)), bar
+Between = Sequence[tuple[str, str, str, Agreement]]
+"""(renderer, renderer, view, agreement) of two renders of the reference head."""
 
 
-def of_views(checked: Sequence[CheckedView]) -> Measured:
-    """Field against the reference along the rays."""
-    blemish = summary([view.blemish_mm2 for view in checked], np.max)
-    return _along_rays([view.agreement for view in checked]) | {"blemish_mm2": blemish}
+def of_views(agreements: Sequence[Agreement], blemishes_mm2: Sequence[float]) -> Readings:
+    """Field against the reference along the rays, an agreement and the largest blemish per view."""
+    return _along_rays(agreements) | {"blemish_mm2": summary(blemishes_mm2, np.max)}
 
 
-def _along_rays(agreements: Sequence[Agreement]) -> Measured:
+def _along_rays(agreements: Sequence[Agreement]) -> Readings:
     def values(name: str) -> list[float]:
         return [getattr(agreement, name) for agreement in agreements]
 
@@ -50,12 +43,12 @@ def _along_rays(agreements: Sequence[Agreement]) -> Measured:
     }
 
 
-def reference_readings(between: Sequence[tuple[str, str, str, Agreement]]) -> dict[str, float]:
-    """What the gauges along the rays read between two renders of the reference: no field can read less."""
+def reference_readings(between: Between) -> dict[str, float]:
+    """What the metrics along the rays read between two renders of the reference: no field can read less."""
     return {name: value for name, (value, _) in _along_rays([agreement for *_, agreement in between]).items()}
 
 
-def of_renderers(between: Sequence[tuple[str, str, str, Agreement]]) -> Measured:
+def of_renderers(between: Between) -> Readings:
     """Reference renderers against each other."""
     return {
         "renderers_mm": summary([agreement.depth_p95_mm for *_, agreement in between], np.max),
@@ -63,18 +56,24 @@ def of_renderers(between: Sequence[tuple[str, str, str, Agreement]]) -> Measured
     }
 
 
-def of_surfaces(surfaces: dict[str, float], errors: dict[str, float]) -> Measured:
+def of_surfaces(surfaces: dict[str, float], errors: dict[str, float]) -> Readings:
     """Surface distances and fits."""
     found = {name: (value, errors.get(name, math.nan)) for name, value in surfaces.items()}
     return found | {"scale_percent": _absolute(found["scale_percent"])}
 
 
-def of_pairs(streams: dict[Part, tuple[PairReading, ...]]) -> Measured:
+def of_pairs(streams: dict[Part, tuple[PairReading, ...]]) -> Readings:
     """Views against each other, the merged picture and each stream alone."""
 
-    def over(part: Part, name: str, reach: str | None = None, region: str = "whole", reduce: Any = np.median):
+    def over(
+        part: Part,
+        name: str,
+        reach: str | None = None,
+        region: str = "whole",
+        statistic: Callable[[np.ndarray], float] = np.median,
+    ) -> Reading:
         pairs = [p for p in streams.get(part, ()) if reach is None or p.reach == reach]
-        return summary([getattr(getattr(p, region), name) for p in pairs], reduce)
+        return summary([getattr(getattr(p, region), name) for p in pairs], statistic)
 
     found = {
         "reprojection": over("head", "consistent"),
@@ -82,7 +81,7 @@ def of_pairs(streams: dict[Part, tuple[PairReading, ...]]) -> Measured:
         "warp_psnr": over("head", "warp_psnr", "short"),
         "warp_ssim": over("head", "warp_ssim", "short"),
         "warp_long_psnr": over("head", "warp_psnr", "long"),
-        "warp_worst_psnr": over("head", "warp_psnr", reduce=np.min),
+        "warp_worst_psnr": over("head", "warp_psnr", statistic=np.min),
         "warp_eye_region_psnr": over("head", "warp_psnr", "short", "eye_region"),
         "warp_long_eye_region_psnr": over("head", "warp_psnr", "long", "eye_region"),
     }
@@ -95,21 +94,21 @@ def of_pairs(streams: dict[Part, tuple[PairReading, ...]]) -> Measured:
     return found
 
 
-def of_drift(drift: Drift, streams: dict[Part, tuple[PairReading, ...]]) -> Measured:
+def of_drift(drift: Drift, streams: dict[Part, tuple[PairReading, ...]]) -> Readings:
     """Pictures against their volumes."""
     reach = {(pair.a, pair.b): pair.reach for pair in streams.get("head", ())}
 
-    def length(rows: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    def length(rows: Sequence[tuple[float, float]]) -> Reading:
         known = np.array([row for row in rows if np.isfinite(row).all()]).reshape(-1, 2)
         if not len(known):
-            return math.nan, math.nan
+            return UNKNOWN
 
         def middle(some: np.ndarray) -> float:
             return float(np.linalg.norm(np.median(some, axis=0)))
 
         return middle(known), bootstrap(known, middle)
 
-    def follow(name: str, wanted: str) -> tuple[float, float]:
+    def follow(name: str, wanted: str) -> Reading:
         return summary([getattr(pair, name) for pair in drift.pairs if reach.get((pair.a, pair.b)) == wanted])
 
     return {
@@ -121,7 +120,7 @@ def of_drift(drift: Drift, streams: dict[Part, tuple[PairReading, ...]]) -> Meas
     }
 
 
-def of_eyes(sweep: EyeSweep, metres_per_unit: float) -> Measured:
+def of_eyes(sweep: EyeSweep, metres_per_unit: float) -> Readings:
     """The eyes over a gaze grid."""
     mm = 1000.0 * metres_per_unit
     rows = sweep.rows
@@ -136,9 +135,9 @@ def of_eyes(sweep: EyeSweep, metres_per_unit: float) -> Measured:
     def bias(some: np.ndarray) -> float:
         return float(np.linalg.norm((some[:, 2:] - some[:, :2]).mean(axis=0)))
 
-    def of_rows(statistic: Callable[[np.ndarray], float]) -> tuple[float, float]:
+    def of_rows(statistic: Callable[[np.ndarray], float]) -> Reading:
         if not len(rows):
-            return math.nan, math.nan
+            return UNKNOWN
         return statistic(rows), bootstrap(rows, statistic)
 
     centres = [_known_rows(sweep.centres[eye]) * mm for eye in EYES]
@@ -146,18 +145,50 @@ def of_eyes(sweep: EyeSweep, metres_per_unit: float) -> Measured:
     apart = np.linalg.norm(sweep.centres["left"] - sweep.centres["right"], axis=1) * mm
     truth = float(np.linalg.norm(sweep.reference_centres[0] - sweep.reference_centres[1])) * mm
     return {
-        "gaze_error_deg": summary(gaze_errors(rows).tolist(), np.mean),
+        "gaze_error_deg": summary(gaze_errors(rows), np.mean),
         "gaze_bias_deg": of_rows(bias),
-        "gaze_spread_deg": summary(np.concatenate([sweep.spread_deg[eye] for eye in EYES]).tolist(), np.mean),
+        "gaze_spread_deg": summary(np.concatenate([sweep.spread_deg[eye] for eye in EYES]), np.mean),
         "gaze_slope": of_rows(slope),
         "gaze_crosstalk": of_rows(crosstalk),
         "gaze_nonlinear_deg": (sweep.nonlinear_deg, math.nan),
         "eye_drift_mm": _worse([(_drift(c), bootstrap(c, _drift)) for c in centres]),
         "eye_radius_drift_mm": _worse([(_drift(r), bootstrap(r, _drift)) for r in radii]),
-        "eye_distance_mm": _absolute(summary((apart - truth).tolist())),
-        "pose_change_mm": summary(sweep.pose_change_mm[1:].tolist(), np.max),
-        "pose_change_deg": summary(sweep.pose_change_deg[1:].tolist(), np.max),
-        "face_change_psnr": summary(sweep.face_change_psnr[1:].tolist(), np.min),
+        "eye_distance_mm": _absolute(summary(apart - truth)),
+        "pose_change_mm": summary(sweep.pose_change_mm[1:], np.max),
+        "pose_change_deg": summary(sweep.pose_change_deg[1:], np.max),
+        "face_change_psnr": summary(sweep.face_change_psnr[1:], np.min),
+    }
+
+
+def of_pictures(tsed: Tsed, motion: StructureFromMotion | None, seed: int) -> Readings:
+    """Pictures against their cameras: TSED and, where it ran, structure from motion."""
+    enough = [pair.median_px for pair in tsed.pairs if pair.matches >= MIN_MATCHES]
+    found: Readings = {}
+    for threshold in THRESHOLDS_PX:
+        share = tsed.score(threshold)
+        found[f"tsed_{threshold:g}px"] = (share, share_error(share, len(tsed.pairs)))
+    found["tsed_median_px"] = summary(enough, seed=seed)
+    found["tsed_matches"] = summary([float(pair.matches) for pair in tsed.pairs], seed=seed)
+    if motion is not None and motion.reason in ("", NO_MODEL):
+        found |= {
+            "sfm_registered": (motion.registered / motion.pictures, math.nan),
+            "sfm_reprojection_px": (motion.reprojection_px, math.nan),
+            "sfm_position_percent": (motion.position_percent, math.nan),
+            "sfm_turn_deg": (motion.turn_deg, math.nan),
+        }
+    return found
+
+
+def of_frames(warps: Iterable[Warp], seed: int) -> Readings:
+    """Frames against each other by their depth files."""
+    judged = [warp for warp in warps if warp.result.covisible]
+    short, long = ([warp.result for warp in judged if warp.reach == reach] for reach in ("short", "long"))
+    return {
+        "reprojection": summary([result.consistent for result in short], seed=seed),
+        "round_trip_px": summary([result.round_trip_px for result in short], seed=seed),
+        "warp_psnr": summary([result.warp_psnr for result in short], seed=seed),
+        "warp_worst_psnr": summary([result.warp_psnr for result in short], np.min),
+        "warp_long_psnr": summary([result.warp_psnr for result in long], seed=seed),
     }
 
 
@@ -172,10 +203,10 @@ def _known_rows(rows: np.ndarray) -> np.ndarray:
     return rows[np.isfinite(rows).all(axis=1)]
 
 
-def _worse(found: list[tuple[float, float]]) -> tuple[float, float]:
+def _worse(found: list[Reading]) -> Reading:
     known = [pair for pair in found if math.isfinite(pair[0])]
-    return max(known) if known else (math.nan, math.nan)
+    return max(known) if known else UNKNOWN
 
 
-def _absolute(pair: tuple[float, float]) -> tuple[float, float]:
-    return abs(pair[0]), pair[1]
+def _absolute(reading: Reading) -> Reading:
+    return abs(reading[0]), reading[1]

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from gazenerf.errors import UserError
-from gazenerf.export.surface.density_surface import has_eyes
 from gazenerf.geometry import Camera
 from gazenerf.heads.interface import BoundField, GeometryView, Part
 
@@ -35,23 +34,16 @@ class StreamView:
     feature_width: int
 
 
-def stream_parts(bound: BoundField) -> tuple[Part, ...]:
-    """`head`, and `face` and `eyes` where the field has two streams."""
-    return ("head", "face", "eyes") if has_eyes(bound) else ("head",)
-
-
-def render_streams(bound: BoundField, camera: Camera, parts: tuple[Part, ...]) -> StreamView:
-    """Render a view.
+def render_streams(bound: BoundField, camera: Camera) -> StreamView:
+    """Render a view: every part that the field has.
 
     Where no eye is met, head and face have the same density along a ray and thus the same depth, so
     the face is rendered in a window around the eyes only.
 
-    Args:
-        parts: Of `stream_parts`.
-
     Raises:
         UserError: a picture has another size than its camera, or holds NaN.
     """
+    parts = bound.parts
     rendered = bound.render(camera, parts)
     for part in parts:
         check_picture(rendered.images[part], camera, f"the field's picture ({part})")

@@ -1,6 +1,6 @@
-"""Faults of known size in an exact scene, and what each gauge reads of them.
+"""Faults of known size in an exact scene, and what each metric reads of them.
 
-`python -m gazenerf.viz.selftest.faults` prints the table of docs/consistency.md: every gauge against every fault.
+`python -m gazenerf.viz.selftest.faults` prints the table of docs/consistency.md: every metric against every fault.
 """
 
 from __future__ import annotations
@@ -14,9 +14,12 @@ import numpy as np
 
 from gazenerf.geometry import Gaze
 from gazenerf.head_model.interface import HeadMesh
+from gazenerf.heads.analytic import AnalyticHead
 from gazenerf.viz.check.field import check_subject
+from gazenerf.viz.check.options import GAZES, CheckOptions
 from gazenerf.viz.metrics.definitions import Metric
 from gazenerf.viz.metrics.families import FAULT_DEFINITIONS
+from gazenerf.viz.metrics.reference import FixedReference
 from gazenerf.viz.selftest.exact_scene import SmoothScene, moved_mesh, scene_mesh
 
 FINDINGS = {one.name: one.finding for one in FAULT_DEFINITIONS if one.finding is not None}
@@ -37,13 +40,13 @@ class Fault:
     at: Callable[[Gaze], dict[str, Any]] = lambda gaze: {}
     mesh: Callable[[HeadMesh], HeadMesh] = lambda mesh: mesh
 
-    def bind(self, gaze: Gaze, seed: int = 0) -> SmoothScene:
-        """The scene at a gaze."""
-        return SmoothScene(gaze, seed=seed, **{**self.scene, **self.at(gaze)})
+    def head(self, seed: int = 0) -> AnalyticHead:
+        """The scene at every gaze; `seed` is that of its noise."""
+        return AnalyticHead(lambda gaze: SmoothScene(gaze, seed=seed, **{**self.scene, **self.at(gaze)}))
 
-    def reference(self) -> HeadMesh:
+    def reference(self) -> FixedReference:
         """What the scene is checked against."""
-        return self.mesh(scene_mesh(SmoothScene()))
+        return FixedReference(self.mesh(scene_mesh(SmoothScene())))
 
 
 def _stiff(gaze: Gaze, share: float = 0.2) -> dict[str, Any]:
@@ -57,17 +60,17 @@ def _crossed(gaze: Gaze, share: float = 0.1) -> dict[str, Any]:
 
 
 def _dragged(gaze: Gaze) -> dict[str, Any]:
-    """A face that moves by 1 mm a 10 degrees of yaw."""
+    """A face that moves by 1 mm per 10 degrees of yaw."""
     return {"face_offset": (0.01 * np.rad2deg(gaze.yaw) / 10.0, 0.0, 0.0)}
 
 
 def _loose(gaze: Gaze) -> dict[str, Any]:
-    """A left eyeball that moves forward by 1 mm a 10 degrees of yaw."""
+    """A left eyeball that moves forward by 1 mm per 10 degrees of yaw."""
     return {"eye_offset": (0.0, 0.0, 0.01 * np.rad2deg(gaze.yaw) / 10.0)}
 
 
 def _swollen(gaze: Gaze) -> dict[str, Any]:
-    """Eyeballs whose radius grows by 0.5 mm a 10 degrees of pitch."""
+    """Eyeballs whose radius grows by 0.5 mm per 10 degrees of pitch."""
     return {"eye_scale": 1.0 + 0.5 / 12.0 * np.rad2deg(gaze.pitch) / 10.0}
 
 
@@ -77,7 +80,7 @@ def _turned(gaze: Gaze, share: float = 0.05) -> dict[str, Any]:
 
 
 def _flushed(gaze: Gaze) -> dict[str, Any]:
-    """Skin that is 2 % brighter a 10 degrees of yaw."""
+    """Skin that is 2 % brighter per 10 degrees of yaw."""
     return {"brightness": 1.0 + 0.02 * np.rad2deg(gaze.yaw) / 10.0}
 
 
@@ -99,16 +102,16 @@ FAULTS: dict[str, Fault] = {
     "eyes turned by 3.0 degrees of yaw": Fault({"gaze_error": (0.0, np.deg2rad(3.0))}),
     "eyes turn by 20 % less than told": Fault(at=_stiff),
     "eyes look up by 10 % of yaw": Fault(at=_crossed),
-    "face dragged by the gaze, 1 mm a 10 degrees": Fault(at=_dragged),
+    "face dragged by the gaze, 1 mm per 10 degrees": Fault(at=_dragged),
     "head turns by 5 % of the gaze": Fault(at=_turned),
-    "skin 2 % brighter a 10 degrees of gaze": Fault(at=_flushed),
-    "left eyeball moves with the gaze, 1 mm a 10 degrees": Fault(at=_loose),
-    "eyeballs grow with the gaze, 0.5 mm a 10 degrees": Fault(at=_swollen),
+    "skin 2 % brighter per 10 degrees of gaze": Fault(at=_flushed),
+    "left eyeball moves with the gaze, 1 mm per 10 degrees": Fault(at=_loose),
+    "eyeballs grow with the gaze, 0.5 mm per 10 degrees": Fault(at=_swollen),
 }
 """Name to what is wrong."""
 
 
-def read_gauges(
+def read_metrics(
     fault: Fault, *, views: int = 7, size: int = 192, seed: int = 0, renderer: str = "open3d", eyes: bool = True
 ) -> dict[str, Metric]:
     """The metrics of `FINDINGS` that `gazenerf check` measures of a fault, by name.
@@ -121,11 +124,10 @@ def read_gauges(
         renderer: Of the reference.
         eyes: Look at the eyes over a gaze grid too.
     """
-    mesh = fault.reference()
-    result = check_subject(
-        fault.bind(Gaze(), seed), mesh, views=views, size=size, renderers=(renderer,), seed=seed,
-        bind=partial(fault.bind, seed=seed) if eyes else None, mesh_at=lambda gaze: mesh,
-    )  # fmt: skip
+    options = CheckOptions(
+        views=views, size=size, gazes=GAZES if eyes else 1, reference=renderer, seed=seed, orbit=False
+    )
+    result = check_subject(fault.head(seed), fault.reference(), options)
     return {name: result.metric(name) for name in FINDINGS}
 
 
@@ -135,8 +137,8 @@ def findings(metrics: dict[str, Metric]) -> set[str]:
 
 
 def table(size: int = 192, seed: int = 0) -> str:
-    """The metrics of every fault as Markdown, a column a fault; findings are bold."""
-    readings = {name: read_gauges(fault, size=size, seed=seed) for name, fault in FAULTS.items()}
+    """The metrics of every fault as Markdown, one column per fault; findings are bold."""
+    readings = {name: read_metrics(fault, size=size, seed=seed) for name, fault in FAULTS.items()}
     head = ["metric", "finding", *readings]
     lines = [head, ["---"] * len(head)]
     for name, finding in FINDINGS.items():

@@ -1,4 +1,4 @@
-"""The gauges on folders of frames: exact ones are perfect, each fault moves its own gauge."""
+"""The metrics of folders of frames: exact ones are perfect, each fault moves its own metric."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from gazenerf.export.formats.datasets import transforms
 from gazenerf.geometry import Camera
 from gazenerf.viz.check import frames_check
 from gazenerf.viz.check.frames import FrameFolder, read_frames
-from gazenerf.viz.check.frames_check import FramesResult, check_frames, epipolar_strip
+from gazenerf.viz.check.frames_check import FramesResult, check_frames
 from gazenerf.viz.metrics.colmap import StructureFromMotion
 from gazenerf.viz.metrics.families import FRAMES_VERSION
+from gazenerf.viz.metrics.frame_strip import epipolar_strip
 from gazenerf.viz.metrics.orbit_pictures import match_picture
 from tests.textured_double import TexturedField
 
@@ -52,9 +53,9 @@ def exact_folder(tmp_path_factory) -> FrameFolder:
 
 @pytest.fixture(scope="module")
 def exact(exact_folder) -> FramesResult:
-    steps: list[tuple[int, int]] = []
+    steps: list[tuple[str, int, int]] = []
     result = check_frames(exact_folder, name="exact", sfm=False, progress=lambda *step: steps.append(step))
-    assert steps[-1] == (4, 4)
+    assert steps[-1] == ("checking", 4, 4)
     return result
 
 

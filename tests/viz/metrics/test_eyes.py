@@ -7,7 +7,9 @@ import pytest
 
 from gazenerf.errors import UserError
 from gazenerf.geometry import Gaze
+from gazenerf.heads.analytic import AnalyticHead
 from gazenerf.viz.metrics.eyes import EYES, gaze_errors, gaze_grid, gaze_response, sweep_eyes
+from gazenerf.viz.metrics.reference import FixedReference
 from gazenerf.viz.selftest.exact_scene import SmoothScene, scene_mesh
 
 
@@ -36,7 +38,7 @@ def test_the_grid_turns_about_its_middle():
 def test_a_sweep_reads_two_sizes_alike():
     mesh = scene_mesh(SmoothScene(), 3)
     for size in (192, 256):
-        sweep = sweep_eyes(lambda gaze: SmoothScene(gaze), lambda gaze: mesh, gaze_grid(Gaze())[1:3], size)
+        sweep = sweep_eyes(AnalyticHead(SmoothScene), FixedReference(mesh), gaze_grid(Gaze())[1:3], size)
         assert gaze_errors(sweep.rows).max() < 0.2, size
         assert len(sweep.rows) == 4 and sweep.pictures.shape[0] == 2
         assert all(np.abs(sweep.radii_mm[eye] - 12.0).max() < 0.05 for eye in EYES)
@@ -45,8 +47,8 @@ def test_a_sweep_reads_two_sizes_alike():
 
 def test_eyes_that_are_not_found_are_nan_and_no_gazes_are_refused():
     mesh = scene_mesh(SmoothScene(), 3)
-    sweep = sweep_eyes(lambda gaze: SmoothScene(gaze, glued=True), lambda gaze: mesh, [Gaze()], 192)
+    sweep = sweep_eyes(AnalyticHead(lambda gaze: SmoothScene(gaze, glued=True)), FixedReference(mesh), [Gaze()], 192)
     assert np.isnan(sweep.measured["left"]).all() and np.isnan(sweep.nonlinear_deg) and not len(sweep.rows)
     assert np.isfinite(sweep.radii_mm["left"]).all(), "depth is unharmed"
     with pytest.raises(UserError, match="at least one gaze"):
-        sweep_eyes(lambda gaze: SmoothScene(gaze), lambda gaze: mesh, [], 192)
+        sweep_eyes(AnalyticHead(SmoothScene), FixedReference(mesh), [], 192)

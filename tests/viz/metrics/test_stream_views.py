@@ -12,18 +12,18 @@ from gazenerf.geometry import Camera
 from gazenerf.viz.check.workers import pool
 from gazenerf.viz.metrics.epipolar import epipolar_strips, strip_cameras
 from gazenerf.viz.metrics.pairs import angle_between, load_perceptual, measure_pair, view_pairs
-from gazenerf.viz.metrics.stream_views import render_streams, stream_parts, window_around, window_camera
+from gazenerf.viz.metrics.stream_views import render_streams, window_around, window_camera
 from gazenerf.viz.selftest.exact_scene import FEATURE_PIXELS, SmoothScene
 
 
 def test_the_face_rendered_in_a_window_is_the_face():
     scene, camera = SmoothScene(), Camera.orbit(0.3, size=96)
-    view = render_streams(scene, camera, stream_parts(scene))
+    view = render_streams(scene, camera)
     whole = scene.render_geometry(camera, "face")
     assert np.array_equal(view.geometry["face"].depth, whole.depth, equal_nan=True)
     assert not np.array_equal(view.geometry["head"].depth, whole.depth, equal_nan=True), "eyes stand out"
     assert view.feature_width == 96 // FEATURE_PIXELS
-    behind = render_streams(scene, Camera.orbit(np.pi, size=64), stream_parts(scene))
+    behind = render_streams(scene, Camera.orbit(np.pi, size=64))
     assert np.array_equal(behind.geometry["face"].depth, behind.geometry["head"].depth, equal_nan=True)
 
 
@@ -51,7 +51,7 @@ def test_pairs_are_short_or_long_and_each_once():
 def test_a_stream_that_disagrees_is_told_from_the_others(part):
     scene = SmoothScene()
     cameras = [Camera.orbit(np.deg2rad(yaw), size=128) for yaw in (0.0, 5.0)]
-    a, b = (render_streams(scene, camera, stream_parts(scene)) for camera in cameras)
+    a, b = (render_streams(scene, camera) for camera in cameras)
     eyes = (np.stack([eye.centre for eye in scene.eyes]), 0.12)
     shifted = replace(b, images=b.images | {part: np.roll(b.images[part], 6, axis=1)})
     clean, _ = measure_pair(("a", "b"), (a, b), 5.0, "short", eyes, 0.1)

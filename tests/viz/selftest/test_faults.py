@@ -1,4 +1,4 @@
-"""Faults of known size: each must move its own gauge beyond its limit, by its size, and no other fault's."""
+"""Faults of known size: each must move its own metric beyond its limit, by its size, and no other fault's."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from gazenerf.viz.metrics.definitions import Metric
 from gazenerf.viz.metrics.families import CHECK_DEFINITIONS
 from gazenerf.viz.reference.views import usable
-from gazenerf.viz.selftest.faults import FAULTS, FINDINGS, Fault, findings, read_gauges, table
+from gazenerf.viz.selftest.faults import FAULTS, FINDINGS, Fault, findings, read_metrics, table
 
 SIZE = 96
 
@@ -96,7 +96,7 @@ VIEW_FAULTS: dict[str, tuple[dict[str, tuple[float, float]], set[str], set[str]]
         STILL - VIEWS - PICTURE | {"reprojection", "reprojection_face", "reprojection_eyes"},
     ),
 }  # fmt: skip
-"""Fault to what its gauges read, as (value, tolerance), the gauges that must find it, and those that must not.
+"""Fault to what its metrics read, as (value, tolerance), the metrics that must find it, and those that must not.
 
 The floater and the hole are a disc of 10 mm radius, 314 mm², on the cheek. The median of an absolute
 normal deviation is 0.6745 of its standard deviation. A feature pixel is four picture pixels."""
@@ -114,7 +114,7 @@ EYE_FAULTS: dict[str, tuple[dict[str, tuple[float, float]], set[str], set[str]]]
         {"gaze_crosstalk": (0.1, 0.02)},
         {"gaze_crosstalk", "gaze_error_deg"}, EYES - {"gaze_crosstalk", "gaze_error_deg"},
     ),
-    "face dragged by the gaze, 1 mm a 10 degrees": (
+    "face dragged by the gaze, 1 mm per 10 degrees": (
         {"pose_change_mm": (1.5, 0.2)},
         {"pose_change_mm"}, EYES - {"pose_change_mm", "face_change_psnr"},
     ),
@@ -123,23 +123,23 @@ EYE_FAULTS: dict[str, tuple[dict[str, tuple[float, float]], set[str], set[str]]]
         {"pose_change_deg"},
         {"gaze_crosstalk", "eye_radius_drift_mm", "eye_distance_mm"},
     ),
-    "skin 2 % brighter a 10 degrees of gaze": ({}, {"face_change_psnr"}, EYES - {"face_change_psnr"}),
+    "skin 2 % brighter per 10 degrees of gaze": ({}, {"face_change_psnr"}, EYES - {"face_change_psnr"}),
     "left eye 1.0 mm too far out": (
         {"eye_distance_mm": (1.0, 0.05)},
         {"eye_distance_mm"},
         SWEEP - {"eye_distance_mm"},
     ),
     "picture of one view swapped": ({}, {"gaze_spread_deg"}, SWEEP - {"face_change_psnr"}),
-    "left eyeball moves with the gaze, 1 mm a 10 degrees": (
+    "left eyeball moves with the gaze, 1 mm per 10 degrees": (
         {"eye_drift_mm": (1.5 * np.sqrt(0.4), 0.05)},
         {"eye_drift_mm"}, {"gaze_slope", "eye_radius_drift_mm", "pose_change_mm", "pose_change_deg"},
     ),
-    "eyeballs grow with the gaze, 0.5 mm a 10 degrees": (
+    "eyeballs grow with the gaze, 0.5 mm per 10 degrees": (
         {"eye_radius_drift_mm": (0.5 * np.sqrt(0.4), 0.05)},
         {"eye_radius_drift_mm"}, {"eye_drift_mm", "eye_distance_mm", "pose_change_mm", "pose_change_deg"},
     ),
 }  # fmt: skip
-"""The same, for gauges that look at the eyes over a gaze grid. Two of its five gazes are off in yaw, two in pitch,
+"""The same, for metrics that look at the eyes over a gaze grid. Two of its five gazes are off in yaw, two in pitch,
 so the root mean square of something that grows with one of them is sqrt(0.4) of its size at the ends."""
 
 
@@ -152,12 +152,12 @@ def renderer() -> str:
 
 @pytest.fixture(scope="module")
 def still(renderer) -> dict[str, dict[str, Metric]]:
-    return {name: read_gauges(FAULTS[name], size=SIZE, eyes=False, renderer=renderer) for name in VIEW_FAULTS}
+    return {name: read_metrics(FAULTS[name], size=SIZE, eyes=False, renderer=renderer) for name in VIEW_FAULTS}
 
 
 @pytest.fixture(scope="module")
 def swept(renderer) -> dict[str, dict[str, Metric]]:
-    return {name: read_gauges(FAULTS[name], size=64, views=1, renderer=renderer) for name in EYE_FAULTS}
+    return {name: read_metrics(FAULTS[name], size=64, views=1, renderer=renderer) for name in EYE_FAULTS}
 
 
 def test_every_fault_is_expected_to_be_found():
@@ -177,14 +177,14 @@ def test_a_fault_of_the_eyes_is_found_at_its_size_and_only_where_it_is(swept, na
 
 
 def _judge(metrics, sizes, own, quiet, among) -> None:
-    for gauge, (size, tolerance) in sizes.items():
-        assert metrics[gauge].value == pytest.approx(size, abs=tolerance), gauge
+    for name, (size, tolerance) in sizes.items():
+        assert metrics[name].value == pytest.approx(size, abs=tolerance), name
     found = findings(metrics) & among
     assert own <= found
     assert not found & quiet, {name: metrics[name].value for name in found & quiet}
 
 
-def test_every_gauge_finds_some_fault(still, swept):
+def test_every_metric_finds_some_fault(still, swept):
     by_views = set().union(*(findings(metrics) & STILL for metrics in still.values()))
     by_eyes = set().union(*(findings(metrics) & EYES for metrics in swept.values()))
     assert by_views >= STILL
@@ -201,7 +201,7 @@ def test_the_table_marks_findings(monkeypatch):
     turned = Fault({"camera_turn": 1.0})
     monkeypatch.setattr("gazenerf.viz.selftest.faults.FAULTS", {"none": Fault(), "turned": turned})
     monkeypatch.setattr(
-        "gazenerf.viz.selftest.faults.read_gauges", lambda fault, **how: bad if fault is turned else read
+        "gazenerf.viz.selftest.faults.read_metrics", lambda fault, **how: bad if fault is turned else read
     )
     lines = table().splitlines()
     assert len(lines) == 2 + len(FINDINGS)
