@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from gazenerf.files import whole_folder
-from gazenerf.viz.check.frames_check import FramesResult, Warp
+from gazenerf.viz.check.frames_check import FramesResult
+from gazenerf.viz.metrics.frame_warps import Warp
 from gazenerf.viz.metrics.orbit_pictures import match_picture
 from gazenerf.viz.metrics.tsed import MIN_MATCHES, PairMatches
 from gazenerf.viz.report.blocks import Block, Fold, Gallery, Group, Page, Picture, Section, Slider, Table, Text

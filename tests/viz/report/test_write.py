@@ -15,12 +15,15 @@ from gazenerf.geometry import Camera
 from gazenerf.heads.analytic import AnalyticField
 from gazenerf.viz.check.result import CheckedView, CheckResult
 from gazenerf.viz.metrics.agreement import compare
+from gazenerf.viz.metrics.colmap import StructureFromMotion
 from gazenerf.viz.metrics.drift import Drift, TextureFollow, ViewDrift
 from gazenerf.viz.metrics.eyes import EyeSweep
 from gazenerf.viz.metrics.families import CHECK_DEFINITIONS as DEFINITIONS
 from gazenerf.viz.metrics.families import measured
+from gazenerf.viz.metrics.orbit_pictures import OrbitPictures
 from gazenerf.viz.metrics.pairs import PairReading
 from gazenerf.viz.metrics.reprojection import Reprojection
+from gazenerf.viz.metrics.tsed import PairMatches, Tsed
 from gazenerf.viz.reference.views import ReferenceView
 from gazenerf.viz.report.error_mesh import FILE, error_mesh
 from gazenerf.viz.report.heatmaps import FARTHER, NEARER, colour_bar, silhouette_picture
@@ -66,6 +69,12 @@ def result() -> CheckResult:
     )  # fmt: skip
 
 
+def matches(a: int, b: int, distances: np.ndarray) -> PairMatches:
+    """Two pictures with matched features so far from their epipolar lines."""
+    points = np.zeros((len(distances), 2))
+    return PairMatches(a, b, points, points, distances)
+
+
 @pytest.fixture(scope="module")
 def whole(result) -> CheckResult:
     """With everything that a check can hold."""
@@ -97,13 +106,16 @@ def whole(result) -> CheckResult:
     }
     drift = Drift((ViewDrift("+0/+0", 0.98, (0.1, -0.2), (np.nan, np.nan), 0.6),),
                   (TextureFollow("+0/+0", "+5/+0", 0.3, 0.05, 900),), 8.0)  # fmt: skip
+    orbit = OrbitPictures(
+        ("-5/+5", "+0/+5", "+5/+5"),
+        Tsed((matches(0, 1, np.full(22, 0.4)), matches(1, 2, np.zeros(0)))),
+        StructureFromMotion(pictures=13, registered=12, points=99, reprojection_px=0.5, position_percent=0.4,
+                            turn_deg=0.3, reason=""),
+    )  # fmt: skip
     return replace(
         result, streams=streams, drift=drift, eyes=sweep, strips={"eyes": rng.uniform(size=(6, SIZE, 3))},
         strip_degrees=(-20.0, 20.0), notes=("LPIPS was <left> out.",),
-        extra={"tsed_pairs": [{"a": "-5/+5", "b": "+0/+5", "matches": 22, "median_px": 0.4},
-                              {"a": "+0/+5", "b": "+5/+5", "matches": 0, "median_px": None}],
-               "structure_from_motion": {"pictures": 13, "registered": 12, "points": 99, "reprojection_px": 0.5,
-                                         "position_percent": 0.4, "turn_deg": 0.3, "reason": ""}},
+        orbit=orbit,
     )  # fmt: skip
 
 
