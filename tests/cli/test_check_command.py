@@ -9,25 +9,32 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gazenerf.cli import check, common
+from gazenerf.cli import check
+from gazenerf.cli.parser import add_options, parsed
 from gazenerf.errors import UserError
 from gazenerf.export.formats.datasets import transforms
 from gazenerf.geometry import Camera
 from gazenerf.head_model import load_head_model
 from gazenerf.head_model.shading import sample_illumination
-from gazenerf.heads.analytic import AnalyticField, analytic_subject
+from gazenerf.heads.analytic import AnalyticField, AnalyticHead, analytic_subject
 from gazenerf.subjects import Codes, Subject
 from gazenerf.viz.reference.views import RENDERERS, usable
-
 from tests.textured_double import TexturedField
 
 SMALL = ("--views", "1", "--size", "32", "--gazes", "1", "--no-error-mesh")
 
 
-def arguments(*more: object) -> argparse.Namespace:
+class UntrainedHead(AnalyticHead):
+    """Exact fields, which no gaze is beyond."""
+
+    def check(self, gazes) -> None:
+        return None
+
+
+def arguments(*more: object) -> check.Options:
     parser = argparse.ArgumentParser()
-    check.configure(parser)
-    return parser.parse_args([str(word) for word in more])
+    add_options(parser, check.Options)
+    return parsed(check.Options, parser.parse_args([str(word) for word in more]))
 
 
 @pytest.fixture
@@ -41,7 +48,7 @@ def with_head(monkeypatch):
     def bind(gaze):
         return AnalyticField(gaze, subject, sharpness=0.2)
 
-    monkeypatch.setattr(common, "load_bound_factory", lambda args: (subject, bind))
+    monkeypatch.setattr(check.Options, "load", lambda options: UntrainedHead(bind))
 
 
 @pytest.fixture(scope="module")
@@ -103,8 +110,7 @@ def test_bad_input_is_told_before_anything_is_rendered(with_head, tmp_path, monk
     ):
         with pytest.raises(UserError, match=message):
             check.run(arguments(*given))
-    bare = analytic_subject()
-    monkeypatch.setattr(common, "load_bound_factory", lambda args: (bare, AnalyticField))
+    monkeypatch.setattr(check.Options, "load", lambda options: UntrainedHead())
     with pytest.raises(UserError, match="no head-model parameters"):
         check.run(arguments(*out))
     assert not list(tmp_path.iterdir())

@@ -13,7 +13,7 @@ import numpy as np
 
 from gazenerf.progress import Progress, silent
 from gazenerf.viz.check.frames import Frame, FrameFolder
-from gazenerf.viz.check.options import crossed
+from gazenerf.viz.check.options import check_seed, crossed
 from gazenerf.viz.check.result import plain
 from gazenerf.viz.metrics.colmap import StructureFromMotion, run_colmap, unavailable
 from gazenerf.viz.metrics.definitions import Metric, check_names
@@ -112,7 +112,11 @@ def check_frames(
         sfm: Also run COLMAP, where it is installed.
         seed: Of COLMAP's random choices and the error bars.
         progress: Told the steps done.
+
+    Raises:
+        UserError: the seed is negative.
     """
+    check_seed(seed)
 
     def tell(done: int) -> None:
         progress("checking", done, STEPS)

@@ -75,8 +75,17 @@ class CheckOptions:
             raise UserError(f"--size must lie between {SIZES[0]} and {SIZES[1]} pixels, got {self.pixels}")
         if not 1 <= self.gazes <= GAZES:
             raise UserError(f"--gazes must lie between 1 and {GAZES}, got {self.gazes}")
-        if self.seed < 0:
-            raise UserError(f"--seed must be 0 or more, got {self.seed}")
+        check_seed(self.seed)
+
+
+def check_seed(seed: int) -> None:
+    """Refuse a negative seed.
+
+    Raises:
+        UserError: it is negative.
+    """
+    if seed < 0:
+        raise UserError(f"--seed must be 0 or more, got {seed}")
 
 
 def parse_limits(texts: Iterable[str], definitions: Iterable[Definition]) -> dict[str, float]:
