@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy import stats
 
 DRAWS = 200
 NORMAL_95 = 1.96
@@ -22,6 +21,8 @@ def bootstrap(
 ) -> float:
     """Half the 95 % percentile interval of a statistic over values drawn again with replacement (Efron 1979).
 
+    It is that of `scipy.stats.bootstrap`, which cannot leave out draws whose statistic is not finite.
+
     Args:
         values: (N, ...), rows are drawn; rows with NaN are left out.
         statistic: Rows (N, ...) to a number.
@@ -35,14 +36,8 @@ def bootstrap(
     rows = rows[np.isfinite(rows).reshape(len(rows), -1).all(axis=1)]
     if len(rows) < 3:
         return math.nan
-    drawn = stats.bootstrap(
-        (np.arange(len(rows)),),
-        lambda chosen: statistic(rows[chosen]),
-        n_resamples=draws,
-        vectorized=False,
-        method="percentile",
-        rng=np.random.default_rng(seed),
-    ).bootstrap_distribution
+    rng = np.random.default_rng(seed)
+    drawn = np.array([float(statistic(rows[rng.integers(0, len(rows), len(rows))])) for _ in range(draws)])
     found = drawn[np.isfinite(drawn)]
     if len(found) < draws // 2:
         return math.nan
