@@ -21,7 +21,7 @@ FINE_SIGMA, COARSE_SIGMA = 0.8, 3.0
 """Pixels; fine texture is a picture blurred by the first less the same blurred by the second."""
 
 MOVED_PX = 4.0
-"""Fine texture is asked whether it stays on the screen where the surface moved at least this far."""
+"""Whether fine texture stays on the screen is judged where the surface moved at least this far."""
 
 MIN_PIXELS = 100
 """Fewer are not judged."""
@@ -135,9 +135,9 @@ class Drift:
     """What the up-sampler does to the pictures.
 
     Attributes:
-        views: A reading a view.
-        pairs: A reading a pair of views.
-        pixels_a_feature: Picture pixels a pixel of the feature map.
+        views: One reading per view.
+        pairs: One reading per pair of views.
+        pixels_a_feature: Picture pixels per pixel of the feature map.
     """
 
     views: tuple[ViewDrift, ...]
@@ -148,7 +148,7 @@ class Drift:
 def view_drift(
     name: str, image: np.ndarray, background: np.ndarray, geometry: GeometryView, eyes: GeometryView | None = None
 ) -> ViewDrift:
-    """Every gauge of one picture (H, W, 3) against its volume.
+    """Every metric of one picture (H, W, 3) against its volume.
 
     Args:
         name: Of the view.
@@ -222,7 +222,7 @@ def picture_shift(
 ) -> tuple[tuple[float, float], float]:
     """(x, y) pixels by which a picture lies right of and below its volume, and the share of variance explained.
 
-    The picture is explained as a mixture of `volume_layers` a channel, and moved until the mixture
+    The picture is explained as a mixture of `volume_layers` per channel, and moved until the mixture
     explains most (Gauss-Newton over shift and mixture together, as in Lucas and Kanade 1981).
 
     Args:
