@@ -27,8 +27,7 @@ import torch
 import trimesh
 from scipy.spatial import KDTree
 
-from gazenerf.checkpoints import load_field
-from gazenerf.export import extract_part
+from gazenerf.export import MeshOptions, extract_part
 from gazenerf.export.mesh.cleaning import keep_largest
 from gazenerf.export.mesh.triangles import pieces
 from gazenerf.export.surface.densities import DensityGrid, sample_density
@@ -38,7 +37,7 @@ from gazenerf.export.surface.refine import refine_density
 from gazenerf.files import whole_file
 from gazenerf.geometry import Gaze
 from gazenerf.heads.interface import BoundField, Part
-from gazenerf.subjects import bundled_subjects, load_subject
+from gazenerf.loading import load
 
 PARTS: tuple[Part, ...] = ("face", "eyes")
 SAME = 1e-5
@@ -85,9 +84,10 @@ def _apart(a: trimesh.Trimesh, b: trimesh.Trimesh) -> float:
 def extract(bound: BoundField, resolution: int, threshold: str | float = "auto") -> dict[str, Any]:
     """Both parts, everything but colours: queries, points of the same grids, seconds, peak, what came out."""
     meshes, seconds = {}, {}
+    options = MeshOptions(resolution=resolution, threshold=threshold, colours=False)
     for part in PARTS:
         started = time.process_time()
-        meshes[part] = extract_part(bound, part, resolution=resolution, threshold=threshold, colours=False)
+        meshes[part] = extract_part(bound, part, options)
         seconds[part] = time.process_time() - started
     found: dict[str, Any] = {"peak_bytes": peak_bytes()}
     for part, got in meshes.items():
@@ -117,8 +117,7 @@ def peak_bytes() -> int:
 
 
 def _bind(args: argparse.Namespace) -> BoundField:
-    field = load_field(args.checkpoint)
-    return field.bind(load_subject(args.subject or next(iter(bundled_subjects()))), Gaze())
+    return load(args.subject, args.checkpoint).at(Gaze())
 
 
 def _in_a_process(args: argparse.Namespace, size: int) -> dict[str, Any]:

@@ -1,30 +1,38 @@
-"""Settings that fit a use: keyword arguments of `export.mesh_subject`."""
+"""Every setting of a mesh, once; presets are what differs for a use."""
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Self
 
 from gazenerf.errors import UserError
+from gazenerf.export.appearance.points import check_points
+from gazenerf.export.appearance.texture import SIZES, check_texture
+from gazenerf.export.surface.fusion import SURFACES
+from gazenerf.export.surface.isosurface import METHODS
+from gazenerf.heads.interface import PARTS, Part
+from gazenerf.options import option
 
-DEFAULTS: dict[str, Any] = {
-    "parts": ("face", "eyes"),
-    "resolution": 192,
-    "formats": ("glb", "ply", "obj"),
-    "repair": False,
-    "seen": False,
-    "holes_mm": 0.0,
-    "smoothing": 0,
-    "max_faces": None,
-    "colours": True,
-    "texture": None,
-    "points": None,
-    "volumes": (),
-}
-"""What is done where neither a preset nor an argument says otherwise."""
+FORMATS = ("glb", "ply", "obj", "stl", "usdz")
+
+TEXTURED = ("glb", "obj", "usdz")
+"""Formats that carry a texture."""
+
+VOLUMES = ("nrrd", "vti", "npz")
+"""Formats of densities."""
+
+SURFACE, WRITTEN = "surface", "what is written"
 
 PRESETS: dict[str, dict[str, Any]] = {
-    "blender": {"formats": ("glb", "obj"), "smoothing": 10, "max_faces": 50_000, "texture": 2048},
-    "web": {"formats": ("glb",), "resolution": 160, "smoothing": 10, "max_faces": 15_000, "texture": 1024},
+    "blender": {"formats": ("glb", "obj"), "smoothing": 10, "max_faces": 50_000, "texture": 2048, "rig": True},
+    "web": {
+        "formats": ("glb",),
+        "resolution": 160,
+        "smoothing": 10,
+        "max_faces": 15_000,
+        "texture": 1024,
+        "rig": True,
+    },
     "print": {
         "parts": ("head",),
         "formats": ("stl", "ply"),
@@ -35,27 +43,108 @@ PRESETS: dict[str, dict[str, Any]] = {
     },
     "research": {"formats": ("ply",), "points": 200_000, "volumes": ("nrrd", "npz")},
 }
-"""Use to what differs from `DEFAULTS`."""
-
-RIGGED = ("blender", "web")
-"""Presets that write the rig, too."""
+"""Use to the settings that differ from the defaults."""
 
 
-def settings(use: str | None, given: dict[str, Any]) -> dict[str, Any]:
-    """Keyword arguments for `export.mesh_subject`.
+@dataclass(frozen=True, kw_only=True)
+class MeshOptions:
+    """How parts of a head become meshes, and what is written of them.
 
-    Args:
-        use: One of `PRESETS`, None for none.
-        given: What was asked for explicitly, which wins; None where nothing was.
-
-    Raises:
-        UserError: unknown use.
+    Attributes:
+        parts: Some of face, eyes, head.
+        resolution: Grid points along the longest side of a part's box.
+        threshold: Density of the surface: `auto`, a number per world unit, or a percentile such as `p50`.
+        surface: `isosurface` of the density; `tsdf` or `poisson`, of depth in pictures all around.
+        method: How an isosurface is extracted.
+        repair: Make the surface manifold.
+        seen: Drop pieces that cannot be seen from outside.
+        holes_mm: Close holes up to this radius, millimetres; inf for all.
+        smoothing: Rounds of Taubin smoothing, which keeps the volume.
+        max_faces: Decimate each part to at most so many triangles; a textured one to
+            `gazenerf.export.appearance.texture.MAX_FACES` where None.
+        formats: Some of glb, ply, obj, stl (millimetres), usdz.
+        colours: Colour the vertices from rendered views.
+        texture: Texels along a side of a texture, carried by glb, obj, usdz and the rig; none where None.
+        points: Also write so many coloured points of each surface.
+        volumes: Also write the densities, some of nrrd, vti, npz.
+        rig: Also write one file whose eyes turn.
     """
-    if use is not None and use not in PRESETS:
-        raise UserError(f"unknown use {use!r}; there are {', '.join(PRESETS)}")
-    preset = {} if use is None else PRESETS[use]
-    return {name: _first(given.get(name), preset.get(name), value) for name, value in DEFAULTS.items()}
 
+    parts: tuple[Part, ...] = option(("face", "eyes"), "face, eyes, head (default: face eyes)", metavar="PART")
+    resolution: int = option(192, "grid points along the longest side (default: 192)", metavar="N", group=SURFACE)
+    threshold: str | float = option(
+        "auto", "density of the surface: auto, a number, or p50", metavar="auto|X", group=SURFACE
+    )
+    surface: str = option(
+        "isosurface",
+        "of the density, or of depth in pictures all around: fused (tsdf), or a fitted solid (poisson)",
+        choices=SURFACES,
+        group=SURFACE,
+    )
+    method: str = option("flying-edges", "how an isosurface is extracted", choices=METHODS, group=SURFACE)
+    repair: bool = option(False, "make the surface manifold", group=SURFACE)
+    seen: bool = option(False, "drop pieces that cannot be seen from outside", flag="--drop-hidden", group=SURFACE)
+    holes_mm: float = option(
+        0.0, "close holes up to this radius; inf for all", flag="--close-holes", metavar="MM", group=SURFACE
+    )
+    smoothing: int = option(0, "rounds of smoothing that keeps the volume", flag="--smooth", metavar="N", group=SURFACE)
+    max_faces: int | None = option(None, "decimate each part to at most N triangles", metavar="N", group=SURFACE)
+    formats: tuple[str, ...] = option(
+        ("glb", "ply", "obj"), "glb, ply, obj, stl, usdz (default: glb ply obj)", metavar="F", group=WRITTEN
+    )
+    colours: bool = option(True, "leave the meshes grey", flag="--no-colours", group=WRITTEN)
+    texture: int | None = option(
+        None, "give glb, obj and usdz a texture of so many pixels a side", choices=SIZES, group=WRITTEN
+    )
+    points: int | None = option(None, "also write N coloured points of each surface", metavar="N", group=WRITTEN)
+    volumes: tuple[str, ...] = option(
+        (), "also write the densities: nrrd, vti, npz", flag="--volume", metavar="F", group=WRITTEN
+    )
+    rig: bool = option(
+        False,
+        "also write rig.glb, one file whose eyes turn",
+        off=("--no-rig", "no rig.glb where --for would write one"),
+        group=WRITTEN,
+    )
 
-def _first(*values: Any) -> Any:
-    return next((value for value in values if value is not None), None)
+    def __post_init__(self) -> None:
+        for name in ("parts", "formats", "volumes"):
+            object.__setattr__(self, name, tuple(dict.fromkeys(getattr(self, name))))
+
+    @classmethod
+    def uses(cls) -> tuple[str, ...]:
+        """The names of the presets."""
+        return tuple(PRESETS)
+
+    @classmethod
+    def preset(cls, use: str | None, /, **given: Any) -> Self:
+        """Settings that fit a use; what is given beside it wins.
+
+        A preset's rig is left out where the parts that it needs are not among the given ones.
+
+        Raises:
+            UserError: unknown use.
+        """
+        if use is not None and use not in PRESETS:
+            raise UserError(f"unknown use {use!r}; there are {', '.join(PRESETS)}")
+        preset = {} if use is None else dict(PRESETS[use])
+        if "parts" in given and not {"face", "eyes"} <= set(given["parts"]):
+            preset.pop("rig", None)
+        return cls(**(preset | given))
+
+    def check(self) -> None:
+        """Raise UserError for settings that cannot be."""
+        if unknown := sorted(set(self.parts) - set(PARTS)):
+            raise UserError(f"unknown part {unknown[0]!r}; there are {', '.join(PARTS)}")
+        if unknown := sorted(set(self.formats) - set(FORMATS)):
+            raise UserError(f"unknown format {unknown[0]!r}; there are {', '.join(FORMATS)}")
+        if self.surface not in SURFACES:
+            raise UserError(f"unknown surface {self.surface!r}; there are {', '.join(SURFACES)}")
+        if unknown := sorted(set(self.volumes) - set(VOLUMES)):
+            raise UserError(f"unknown volume format {unknown[0]!r}; there are {', '.join(VOLUMES)}")
+        if not self.parts or not self.formats:
+            raise UserError("give at least one part and one format")
+        if self.points is not None:
+            check_points(self.points)
+        if self.texture is not None:
+            check_texture(self.texture)

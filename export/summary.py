@@ -1,58 +1,68 @@
-"""What an export says of itself."""
+"""What an export says of itself: rows of the closing table."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 
-from gazenerf.export.formats.files import part_files
-from gazenerf.export.part_mesh import PartMesh
+from gazenerf.export.formats.files import Facts, WrittenPart
+from gazenerf.export.pipeline import MeshReport
 
 
-def mesh_rows(
-    meshes: Mapping[str, PartMesh], out: Path, formats: Sequence[str], volumes: Sequence[str] = ()
-) -> dict[str, object]:
-    """Rows for the closing table: files written and what was measured of each part."""
+def mesh_rows(report: MeshReport) -> dict[str, object]:
+    """Files written and what was measured, of parts, rig and sequence."""
     rows: dict[str, object] = {}
-    for part, extracted in meshes.items():
-        files = part_files(
-            part,
-            tuple(formats),
-            texture=extracted.textured is not None,
-            points=extracted.points is not None,
-            volumes=tuple(volumes),
-        )
-        rows |= {f"{part} {kind}": out / name for kind, name in files.items()}
-        threshold = extracted.threshold
-        if threshold is None:
-            rows[f"{part} surface"] = extracted.steps[0]
-        else:
-            chosen = f"{threshold.level:g} per unit ({threshold.how})"
-            if np.isfinite(threshold.depth_error_mm):
-                chosen += f", {threshold.depth_error_mm:.2f} mm median from the rendered depth"
-            rows[f"{part} threshold"] = chosen
-        mesh = extracted.mesh
-        kind = "watertight" if mesh.is_watertight else "open"
-        rows[f"{part} mesh"] = f"{len(mesh.vertices):,} vertices, {len(mesh.faces):,} faces, {kind}"
-        about = json.loads((out / files["json"]).read_text())
-        pierced = about["self_intersecting_faces"]
-        rows[f"{part} pieces"] = f"{about['components']}, self-intersecting faces: " + (
-            "not counted" if pierced is None else f"{pierced:,}"
-        )
-        if (away := about.get("median_mm_from_the_head_model_in_the_face_crop")) is not None:
-            rows[f"{part} crop"] = f"{away:.2f} mm median from the head model in the face crop"
-        if threshold is not None:
-            rows[f"{part} queries"] = f"{extracted.queries:,} of {int(np.prod(extracted.grid)):,} grid points"
-        if extracted.textured is not None:
-            rows[f"{part} texture"] = _texture_line(about)
+    for part, written in report.parts.items():
+        rows |= _part_rows(part, written)
+    if "rig" in report.scenes:
+        rows |= {f"rig {kind}": path for kind, path in sorted(report.scenes["rig"].files.items())}
+        rows |= _eye_rows(report.scenes["rig"].facts)
+    if "sequence" in report.scenes:
+        scene = report.scenes["sequence"]
+        rows |= {f"sequence {kind}": path for kind, path in scene.files.items()}
+        rows["sequence"] = _sequence_line(scene.facts)
+    if report.numbered:
+        rows["sequence"] = f"{report.numbered[0].parent}, {len(report.numbered)} gazes"
     return rows
 
 
-def _texture_line(about: Mapping[str, Any]) -> str:
+def part_line(written: WrittenPart) -> str:
+    """One part in one line: size, whether it is closed, voxels, threshold, distance from the rendered depth."""
+    facts = written.facts
+    closed = "watertight" if facts["watertight"] else "open"
+    line = f"{facts['vertices']:,} vertices, {facts['faces']:,} faces, {closed}, {facts['voxel_mm']:.2f} mm voxels"
+    if facts["threshold_per_world_unit"] is not None:
+        line += f", threshold {facts['threshold_per_world_unit']:g}"
+    off = facts.get("depth_disagreement_mm")
+    return line + ("" if off is None else f", {off:.2f} mm median from the rendered depth")
+
+
+def _part_rows(part: str, written: WrittenPart) -> dict[str, object]:
+    extracted, about = written.extracted, written.facts
+    rows: dict[str, object] = {f"{part} {kind}": path for kind, path in written.files.items()}
+    threshold = extracted.threshold
+    if threshold is None:
+        rows[f"{part} surface"] = extracted.steps[0]
+    else:
+        chosen = f"{threshold.level:g} per unit ({threshold.how})"
+        if np.isfinite(threshold.depth_error_mm):
+            chosen += f", {threshold.depth_error_mm:.2f} mm median from the rendered depth"
+        rows[f"{part} threshold"] = chosen
+    kind = "watertight" if about["watertight"] else "open"
+    rows[f"{part} mesh"] = f"{about['vertices']:,} vertices, {about['faces']:,} faces, {kind}"
+    pierced = about["self_intersecting_faces"]
+    rows[f"{part} pieces"] = f"{about['components']}, self-intersecting faces: " + (
+        "not counted" if pierced is None else f"{pierced:,}"
+    )
+    if (away := about.get("median_mm_from_the_head_model_in_the_face_crop")) is not None:
+        rows[f"{part} crop"] = f"{away:.2f} mm median from the head model in the face crop"
+    if threshold is not None:
+        rows[f"{part} queries"] = f"{extracted.queries:,} of {int(np.prod(extracted.grid)):,} grid points"
+    if extracted.textured is not None:
+        rows[f"{part} texture"] = _texture_line(about)
+    return rows
+
+
+def _texture_line(about: Facts) -> str:
     texture, compared = about["texture"], about["texture_against_the_field"]
     line = f"{texture['size']} px, {texture['charts']} charts"
     if "not_measured" in compared:
@@ -61,10 +71,8 @@ def _texture_line(about: Mapping[str, Any]) -> str:
     return f"{line}; PSNR {', '.join(measured)} dB against the field's own pictures from unseen views"
 
 
-def rig_rows(out: Path) -> dict[str, object]:
-    """Rows on the rig in a folder and its fitted eyeballs."""
-    rows: dict[str, object] = {f"rig {path.suffix[1:]}": path for path in sorted(out.glob("rig.*"))}
-    facts = json.loads((out / "rig.json").read_text())
+def _eye_rows(facts: Facts) -> dict[str, object]:
+    rows: dict[str, object] = {}
     for side in ("eye_left", "eye_right"):
         eye = facts[side]
         text = f"radius {eye['radius_mm']:.2f} mm, fit {eye['fit_residual_mm']:.2f} mm RMS"
@@ -74,15 +82,12 @@ def rig_rows(out: Path) -> dict[str, object]:
     return rows
 
 
-def sequence_rows(out: Path, numbered: bool) -> dict[str, object]:
-    """Rows on a gaze sequence in a folder."""
-    if numbered:
-        return {"sequence": f"{out / 'sequence'}, {len(list((out / 'sequence').iterdir()))} gazes"}
-    followed = json.loads((out / "sequence.json").read_text())["followed"]
+def _sequence_line(facts: Facts) -> str:
+    followed = facts["followed"]
     largest = max(follow["largest_move_mm"] for follow in followed)
     left = [follow["median_distance_after_mm"] for follow in followed]
     left = [value for value in left if value is not None]
     text = f"{len(followed)} gazes, lids move up to {largest:.2f} mm"
     if left:
         text += f" and end {np.median(left):.3f} mm (median) from the surface of each gaze"
-    return {"sequence glb": out / "sequence.glb", "sequence json": out / "sequence.json", "sequence": text}
+    return text

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
@@ -13,9 +13,7 @@ from gazenerf.export.appearance.colours import sample
 from gazenerf.export.appearance.texture import TexturedMesh, dilate
 from gazenerf.export.mesh.sphere_fit import Eyeball
 from gazenerf.geometry import Camera, Gaze
-from gazenerf.heads.interface import BoundField
-
-Bind = Callable[[Gaze], BoundField]
+from gazenerf.heads.interface import HeadField
 
 TEXTURE_GAZES = (
     (0.0, 0.0), (0.0, 15.0), (0.0, -15.0), (0.0, 28.0), (0.0, -28.0), (12.0, 0.0), (-12.0, 0.0), (12.0, 20.0),
@@ -83,7 +81,7 @@ def directions_of(disc: np.ndarray) -> np.ndarray:
 
 
 def eyeball_colours(
-    bind: Bind, eye: Eyeball, directions: np.ndarray, gazes: Sequence[tuple[float, float]] = TEXTURE_GAZES
+    head: HeadField, eye: Eyeball, directions: np.ndarray, gazes: Sequence[tuple[float, float]] = TEXTURE_GAZES
 ) -> tuple[np.ndarray, np.ndarray]:
     """Colours of an eyeball that looks along +Z, from merged pictures of several gazes.
 
@@ -94,7 +92,7 @@ def eyeball_colours(
     the last ring that was.
 
     Args:
-        bind: Binds the subject to a gaze.
+        head: Whose eye it is.
         eye: Where the ball is.
         directions: (N, 3) unit vectors from its centre, the eye looking along +Z.
         gazes: Pitch and yaw, degrees.
@@ -111,7 +109,7 @@ def eyeball_colours(
     ball = _first_hit(*coarse.rays(), eye)
     for pitch, yaw in gazes:
         gaze = Gaze.from_degrees(pitch, yaw)
-        bound = bind(gaze)
+        bound = head.at(gaze)
         image = bound.render(camera).image.astype(np.float32)
         depth = bound.render_geometry(coarse).depth
         shown = (np.abs(np.nan_to_num(depth, nan=np.inf) - ball) < 0.1 * eye.radius).astype(np.uint8)
@@ -161,7 +159,9 @@ def _first_hit(rays_o: np.ndarray, rays_d: np.ndarray, eye: Eyeball) -> np.ndarr
     return -along - np.sqrt(np.where(under > 0, under, np.nan))
 
 
-def textured_eyeball(bind: Bind, eye: Eyeball, gazes: Sequence[tuple[float, float]] = TEXTURE_GAZES) -> TexturedMesh:
+def textured_eyeball(
+    head: HeadField, eye: Eyeball, gazes: Sequence[tuple[float, float]] = TEXTURE_GAZES
+) -> TexturedMesh:
     """A whole eyeball about the origin, world units, that looks along +Z; see `eyeball_colours`.
 
     Raises:
@@ -171,7 +171,7 @@ def textured_eyeball(bind: Bind, eye: Eyeball, gazes: Sequence[tuple[float, floa
     centre = (np.arange(TEXTURE) + 0.5) / TEXTURE * 2.0 - 1.0
     disc = np.stack(np.meshgrid(centre, -centre), axis=-1)
     inside = np.linalg.norm(disc, axis=-1) <= 1.0
-    colours, seen = eyeball_colours(bind, eye, directions_of(disc[inside]), gazes)
+    colours, seen = eyeball_colours(head, eye, directions_of(disc[inside]), gazes)
     image = np.zeros((TEXTURE, TEXTURE, 3), np.uint8)
     image[inside] = np.round(255.0 * colours)
     image = dilate(image, cv2.erode(inside.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool))

@@ -7,7 +7,7 @@ take OpenGL camera axes to the world, COLMAP's take the world to OpenCV camera a
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,10 +20,14 @@ from gazenerf.errors import UserError
 from gazenerf.export.appearance.colours import sample
 from gazenerf.export.appearance.points import PointCloud, write_points
 from gazenerf.export.formats.files import common_facts, write_sidecar
-from gazenerf.files import whole_folder
+from gazenerf.files import refuse_existing, whole_folder
 from gazenerf.geometry import Camera
 from gazenerf.geometry.cameras import NEUTRAL_DISTANCE, NEUTRAL_FOV
+from gazenerf.geometry.flight import CAMERA, FlightOptions
+from gazenerf.geometry.paths import CAMERA_PATHS
 from gazenerf.heads.interface import PARTS, BoundField, Part, RenderedView
+from gazenerf.options import option
+from gazenerf.progress import Progress, silent
 
 LAYOUTS = ("nerfstudio", "colmap")
 
@@ -33,6 +37,57 @@ RING_PITCHES = (-15.0, 10.0, 35.0)
 POINTS = 30_000
 SOLID = 0.95
 """Opacity from which a pixel gives a point."""
+
+
+RINGS = "rings"
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetOptions(FlightOptions):
+    """A dataset of pictures.
+
+    Attributes:
+        part: Which picture.
+        layouts: Some of `LAYOUTS`.
+        points: How many surface points, about.
+        camera_path: `rings`, or as for `FlightOptions`.
+        frames: Number of pictures.
+    """
+
+    layouts: tuple[str, ...] = option(LAYOUTS, "nerfstudio, colmap (default: both)", metavar="L")
+    part: Part = option("head", "which picture (default: head)", choices=("head", "face", "eyes"))
+    points: int = option(POINTS, "surface points (default: 30000)", metavar="N")
+    frames: int = option(60, "number of pictures (default: 60)", metavar="N", group=CAMERA)
+    camera_path: str = option(
+        RINGS,
+        f"{RINGS} (full turns at three heights), {', '.join(CAMERA_PATHS)}, or a .json file of keyframes "
+        f"(default: {RINGS})",
+        metavar="NAME",
+        group=CAMERA,
+    )
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "layouts", tuple(dict.fromkeys(self.layouts)))
+
+    def check(self) -> None:
+        """Raise UserError for an unknown part or layout, or no points."""
+        if unknown := sorted(set(self.layouts) - set(LAYOUTS)):
+            raise UserError(f"unknown layout {unknown[0]!r}; there are {', '.join(LAYOUTS)}")
+        if self.part not in PARTS:
+            raise UserError(f"unknown part {self.part!r}; there are {', '.join(PARTS)}")
+        if self.points < 1:
+            raise UserError(f"--points must be at least 1, got {self.points}")
+
+    def cameras(self) -> list[Camera]:
+        """The camera of every picture.
+
+        Raises:
+            UserError: options that make no camera.
+        """
+        if self.camera_path != RINGS:
+            return super().cameras()
+        self.check_camera()
+        return rings(self.frames, size=self.size, distance=self.distance, fov=float(np.deg2rad(self.fov)))
 
 
 @dataclass(frozen=True)
@@ -74,12 +129,10 @@ def write_dataset(
     bound: BoundField,
     out: str | Path,
     cameras: Sequence[Camera],
+    options: DatasetOptions | None = None,
     *,
-    part: Part = "head",
-    layouts: tuple[str, ...] = LAYOUTS,
-    points: int = POINTS,
     overwrite: bool = False,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress = silent,
 ) -> dict[str, Path]:
     """Render pictures and write them with their cameras to a folder.
 
@@ -91,11 +144,9 @@ def write_dataset(
         bound: What is rendered.
         out: Folder.
         cameras: World units, at least one.
-        part: Which picture.
-        layouts: Some of nerfstudio, colmap.
-        points: How many surface points, about.
+        options: Which picture, which layouts, how many points; its cameras are not used.
         overwrite: Replace files of these names.
-        progress: Called with (done, total).
+        progress: Told about pictures.
 
     Returns:
         Kind to file or folder.
@@ -103,18 +154,16 @@ def write_dataset(
     Raises:
         UserError: unknown part or layout, no camera, or existing files without `overwrite`.
     """
-    if unknown := sorted(set(layouts) - set(LAYOUTS)):
-        raise UserError(f"unknown layout {unknown[0]!r}; there are {', '.join(LAYOUTS)}")
-    if part not in PARTS:
-        raise UserError(f"unknown part {part!r}; there are {', '.join(PARTS)}")
+    options = options or DatasetOptions()
+    options.check()
+    part, layouts, points = options.part, options.layouts, options.points
     if not cameras or not layouts:
         raise UserError("give at least one camera and one layout")
     out = Path(out)
     written = {"pictures": out / "images", "points": out / "points.ply", "about": out / "dataset.json"}
     written |= {"nerfstudio": out / "transforms.json"} if "nerfstudio" in layouts else {}
     written |= {"colmap": out / "sparse" / "0"} if "colmap" in layouts else {}
-    if (taken := [path for path in written.values() if path.exists()]) and not overwrite:
-        raise UserError(f"{taken[0]} exists; add --overwrite or choose another --out")
+    refuse_existing(written.values(), overwrite)
     scale = bound.metres_per_unit
     names = [f"{i:04d}.png" for i in range(len(cameras))]
     seen: list[SeenPoints] = []
@@ -126,8 +175,7 @@ def write_dataset(
             pixels = np.clip(np.round(255.0 * view.images[part]), 0, 255).astype(np.uint8)
             Image.fromarray(pixels).save(folder / "images" / names[i])
             seen.append(_seen_points(view, part, -(-points // len(cameras)), rng))
-            if progress is not None:
-                progress(i + 1, len(cameras))
+            progress("rendering", i + 1, len(cameras))
         metric = [in_metres(camera, scale) for camera in cameras]
         cloud = [SeenPoints(shown.pixels, scale * shown.points, shown.colours) for shown in seen]
         toward = [camera.position - shown.points for camera, shown in zip(metric, cloud, strict=True)]
@@ -165,8 +213,7 @@ def _seen_points(view: RenderedView, part: Part, count: int, rng: np.random.Gene
     rows, columns = rows[chosen], columns[chosen]
     ratio = np.array([view.camera.width / geometry.camera.width, view.camera.height / geometry.camera.height])
     pixels = ratio * np.stack([columns + 0.5, rows + 0.5], axis=1)
-    rays_o, rays_d = view.camera.rays(pixels)
-    points = rays_o + geometry.depth[rows, columns, None] * rays_d
+    points = view.camera.unproject(geometry.depth[rows, columns], pixels)
     colours = sample(view.images[part].astype(np.float32), *(pixels - 0.5).T)
     return SeenPoints(pixels, points, np.clip(np.round(255.0 * colours), 0, 255).astype(np.uint8))
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -18,15 +19,32 @@ from gazenerf.export.formats.gltf import Node, Texture, glb
 from gazenerf.export.formats.obj import material, textured_obj
 from gazenerf.export.formats.usd import usdz
 from gazenerf.export.formats.volumes import write_volume
+from gazenerf.export.options import MeshOptions
+from gazenerf.export.part_mesh import PartMesh
 from gazenerf.heads.interface import BoundField
 
-if TYPE_CHECKING:
-    from gazenerf.export.part_mesh import PartMesh
+Facts = dict[str, Any]
+"""What a sidecar says, as JSON holds it."""
 
-FORMATS = ("glb", "ply", "obj", "stl", "usdz")
 
-TEXTURED = ("glb", "obj", "usdz")
-"""Formats that carry a texture."""
+@dataclass(frozen=True)
+class WrittenPart:
+    """What was written of one part.
+
+    Attributes:
+        extracted: Its mesh and how it came to be.
+        files: Kind to file.
+        facts: What its sidecar says.
+    """
+
+    extracted: PartMesh
+    files: dict[str, Path]
+    facts: Facts
+
+    @property
+    def mesh(self) -> trimesh.Trimesh:
+        """World units."""
+        return self.extracted.mesh
 
 
 def in_metres(mesh: trimesh.Trimesh, metres_per_unit: float) -> trimesh.Trimesh:
@@ -40,16 +58,14 @@ def in_metres(mesh: trimesh.Trimesh, metres_per_unit: float) -> trimesh.Trimesh:
     )
 
 
-def part_files(
-    part: str, formats: tuple[str, ...], *, texture: bool = False, points: bool = False, volumes: tuple[str, ...] = ()
-) -> dict[str, str]:
+def part_files(part: str, options: MeshOptions) -> dict[str, str]:
     """What is written for one part: kind to file name."""
-    names = {kind: f"{part}.{kind}" for kind in formats}
-    if texture and "obj" in formats:
+    names = {kind: f"{part}.{kind}" for kind in options.formats}
+    if options.texture is not None and "obj" in options.formats:
         names |= {"mtl": f"{part}.mtl", "png": f"{part}.png"}
-    if points:
+    if options.points is not None:
         names["points"] = f"{part}-points.ply"
-    names |= {kind: f"{part}.{kind}" for kind in volumes}
+    names |= {kind: f"{part}.{kind}" for kind in options.volumes}
     return names | {"json": f"{part}.json"}
 
 
@@ -57,17 +73,22 @@ def write_part(
     extracted: PartMesh,
     bound: BoundField,
     folder: Path,
-    formats: tuple[str, ...],
-    volumes: tuple[str, ...] = (),
-    facts: dict[str, Any] | None = None,
-) -> None:
+    options: MeshOptions,
+    measured: Facts | None = None,
+) -> Facts:
     """Write what there is of one part, and its sidecar, to an existing folder.
 
     Args:
-        formats: Of the mesh.
-        volumes: Formats of its density.
-        facts: More for the sidecar.
+        extracted: The part.
+        bound: What it was extracted from.
+        folder: Where.
+        options: Which formats.
+        measured: More for the sidecar.
+
+    Returns:
+        What the sidecar says.
     """
+    formats = options.formats
     metres, name = bound.metres_per_unit, extracted.part
     mesh = in_metres(extracted.mesh, metres)
     png = None if extracted.textured is None else extracted.textured.png()
@@ -91,12 +112,13 @@ def write_part(
     if extracted.points is not None:
         write_points(extracted.points, metres, folder / f"{name}-points.ply")
     if extracted.volume is not None:
-        for kind in volumes:
+        for kind in options.volumes:
             write_volume(extracted.volume, metres, kind, folder / f"{name}.{kind}")
-    about = sidecar(extracted, bound) | (facts or {})
+    about = sidecar(extracted, bound) | (measured or {})
     if "stl" in formats:
         about["stl_units"] = "millimetres"
     write_sidecar(folder / f"{name}.json", about)
+    return about
 
 
 def _node(extracted: PartMesh, mesh: trimesh.Trimesh, metres: float, png: bytes | None) -> Node:
@@ -111,12 +133,12 @@ def textured_node(name: str, textured: TexturedMesh, metres_per_unit: float, png
     return Node(name, mesh, texture=Texture(textured.uv, textured.png() if png is None else png))
 
 
-def write_sidecar(path: Path, facts: dict[str, Any]) -> None:
+def write_sidecar(path: Path, facts: Facts) -> None:
     """Write facts as JSON."""
     path.write_text(json.dumps(facts, indent=2, allow_nan=False) + "\n")
 
 
-def common_facts(bound: BoundField) -> dict[str, Any]:
+def common_facts(bound: BoundField) -> Facts:
     """What every file of a bound field says: units, frame, subject, gaze, weights, versions."""
     libraries = {name: _version(name) for name in ("trimesh", "pyvista", "numpy", "torch")}
     return {
@@ -130,11 +152,11 @@ def common_facts(bound: BoundField) -> dict[str, Any]:
     }
 
 
-def sidecar(extracted: PartMesh, bound: BoundField) -> dict[str, Any]:
+def sidecar(extracted: PartMesh, bound: BoundField) -> Facts:
     """What a part's files are: frame, units, threshold, resolution, subject, gaze, weights, versions."""
     mesh, threshold = extracted.mesh, extracted.threshold
     metres = bound.metres_per_unit
-    level: dict[str, Any] = {"threshold_per_world_unit": None, "threshold_choice": None}
+    level: Facts = {"threshold_per_world_unit": None, "threshold_choice": None}
     if threshold is not None:
         level = {
             "threshold_per_world_unit": threshold.level,

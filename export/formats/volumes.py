@@ -17,7 +17,7 @@ from gazenerf.export.surface.densities import DensityGrid
 
 
 def write_volume(grid: DensityGrid, metres_per_unit: float, kind: str, path: Path) -> None:
-    """Write a grid in one of the formats `VOLUMES`.
+    """Write a grid in one of the formats of `gazenerf.export.options.VOLUMES`.
 
     Args:
         grid: World units; the file is in metres.
@@ -27,14 +27,9 @@ def write_volume(grid: DensityGrid, metres_per_unit: float, kind: str, path: Pat
     Raises:
         UserError: unknown format.
     """
-    check_volume(kind)
-    WRITERS[kind](in_metres(grid, metres_per_unit), path)
-
-
-def check_volume(kind: str) -> None:
-    """Raise UserError where a volume format is unknown."""
     if kind not in WRITERS:
         raise UserError(f"unknown volume format {kind!r}; there are {', '.join(WRITERS)}")
+    WRITERS[kind](in_metres(grid, metres_per_unit), path)
 
 
 def in_metres(grid: DensityGrid, metres_per_unit: float) -> DensityGrid:
@@ -119,5 +114,3 @@ def write_npz(grid: DensityGrid, path: Path) -> None:
 
 
 WRITERS: dict[str, Callable[[DensityGrid, Path], None]] = {"nrrd": write_nrrd, "vti": write_vti, "npz": write_npz}
-
-VOLUMES = tuple(WRITERS)

@@ -8,23 +8,9 @@ import trimesh
 from gazenerf.evaluation.face_crop import face_crop
 from gazenerf.export.mesh.rays import nearest_distance
 from gazenerf.head_model.interface import FACE, HeadMesh
-from gazenerf.heads.interface import BoundField
 
 POINTS = 50_000
 """Points spread over a surface whose distances are taken."""
-
-
-def reference_mesh(bound: BoundField) -> HeadMesh | None:
-    """The head model fitted to the subject, at the field's gaze, world units; None where it is not known."""
-    from gazenerf.head_model import load_head_model
-
-    subject = bound.subject
-    if subject.head is None:
-        return None
-    model = load_head_model()
-    if subject.head.sizes != model.code_sizes:
-        return None
-    return model.mesh(subject.head, bound.gaze)
 
 
 def distance_in_face_crop(mesh: trimesh.Trimesh, reference: HeadMesh) -> float:

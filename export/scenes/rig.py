@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,12 +13,10 @@ from scipy.spatial.transform import Rotation
 from gazenerf.export.appearance.eyeball_texture import textured_eyeball
 from gazenerf.export.formats.files import in_metres, textured_node
 from gazenerf.export.formats.gltf import Animation, Node, Texture
-from gazenerf.export.mesh.face_distance import reference_mesh
 from gazenerf.export.mesh.sphere_fit import Eyeball, fit_eyeballs
 from gazenerf.geometry import Gaze
-from gazenerf.heads.interface import BoundField
-
-Bind = Callable[[Gaze], BoundField]
+from gazenerf.head_model import ReferenceHead
+from gazenerf.heads.interface import HeadField
 
 SWEEP = ((0, 0), (0, 25), (0, -25), (0, 0), (15, 0), (-15, 0), (0, 0))
 """Pitch and yaw, degrees, of the clip's keys, one a second."""
@@ -47,14 +45,16 @@ class Scene:
     eyeballs: tuple[Eyeball, Eyeball]
 
 
-def rig(bind: Bind, gaze: Gaze, face: trimesh.Trimesh, eyes: trimesh.Trimesh, texture: Texture | None = None) -> Scene:
+def rig(
+    head: HeadField, gaze: Gaze, face: trimesh.Trimesh, eyes: trimesh.Trimesh, texture: Texture | None = None
+) -> Scene:
     """A scene with nodes `head`, `face`, `eye_left`, `eye_right` and the clip `gaze sweep`.
 
     The eye nodes' origins are the fitted centres of rotation; turning a node turns that gaze. Eye
     volumes show little more than what lies between the lids, so each is completed to an eyeball.
 
     Args:
-        bind: Binds the subject to other gazes.
+        head: Who it is.
         gaze: What the eye nodes are turned to at rest.
         face, eyes: The parts' meshes, world units.
         texture: Of the face.
@@ -62,12 +62,12 @@ def rig(bind: Bind, gaze: Gaze, face: trimesh.Trimesh, eyes: trimesh.Trimesh, te
     Raises:
         UserError: the eyes cannot be fitted or coloured.
     """
-    bound = bind(gaze)
-    metres = bound.metres_per_unit
-    known = reference_mesh(bound)
+    metres = head.at(gaze).metres_per_unit
+    reference = ReferenceHead.of(head.subject)
+    known = None if reference is None else reference.at(gaze)
     nodes, facts, fitted = [], {}, fit_eyeballs(eyes)
     for i, (side, eye) in enumerate(zip(("left", "right"), fitted, strict=True)):
-        ball = textured_eyeball(bind, eye)
+        ball = textured_eyeball(head, eye)
         x, y, z = (float(value) for value in eye.centre * metres)
         node = textured_node(f"eye_{side}", ball, metres)
         nodes.append(replace(node, translation=(x, y, z), rotation=quaternion(gaze), roughness=0.2))
@@ -86,10 +86,10 @@ def rig(bind: Bind, gaze: Gaze, face: trimesh.Trimesh, eyes: trimesh.Trimesh, te
                 "head_model_radius_mm": known.eye_radius * metres * 1000.0,
                 "centre_distance_mm": float(np.linalg.norm(eye.centre - known.eye_centres[i]) * metres * 1000.0),
             }
-    head = Node("head", children=(Node("face", in_metres(face, metres), texture=texture), *nodes))
+    root = Node("head", children=(Node("face", in_metres(face, metres), texture=texture), *nodes))
     keys = [Gaze.from_degrees(*angles) for angles in SWEEP]
     clip = eyes_clip("gaze sweep", keys, np.arange(len(keys), dtype=np.float64))
-    return Scene(head, (clip,), facts, fitted)
+    return Scene(root, (clip,), facts, fitted)
 
 
 def eyes_clip(name: str, gazes: Sequence[Gaze], times: np.ndarray) -> Animation:

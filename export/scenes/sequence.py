@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,9 +14,10 @@ from gazenerf.errors import UserError
 from gazenerf.export.formats.gltf import Morph
 from gazenerf.export.mesh.sphere_fit import Eyeball
 from gazenerf.export.scenes.rig import Scene, eyes_clip
-from gazenerf.export.surface.normals import CHUNK
 from gazenerf.geometry import Gaze
-from gazenerf.heads.interface import BoundField
+from gazenerf.heads.interface import BoundField, HeadField
+from gazenerf.heads.march import CHUNK
+from gazenerf.progress import Progress, silent
 
 MAX_GAZES = 240
 
@@ -100,7 +101,7 @@ def follow_gaze(
         rest: (V,) `face_crossings` at the mesh's own gaze.
         points, normals: (V, 3) of the mesh, no two points at one place.
         links: (V, V) neighbours of each vertex.
-        share: (V,) of the move that each makes; where it is 0 nothing is asked.
+        share: (V,) of the move that each makes; where it is 0 nothing is queried.
         level: Density of the surface.
     """
     mm = 1000.0 * bound.metres_per_unit
@@ -129,29 +130,29 @@ def follow_gaze(
 
 
 def face_morphs(
-    bind: Callable[[Gaze], BoundField],
+    head: HeadField,
     rest: Gaze,
     gazes: Sequence[Gaze],
     face: trimesh.Trimesh,
     eyes: Sequence[Eyeball],
     level: float,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress = silent,
 ) -> tuple[tuple[Morph, ...], list[Follow]]:
     """A morph of a face mesh for each gaze.
 
     Args:
-        bind: Binds the subject to a gaze.
+        head: Who it is.
         rest: Gaze of the mesh.
         gazes: One a morph.
         face: World units, vertex normals; vertices doubled along texture seams stay together.
         eyes: The face moves about them, see `NEAR` and `FULL`.
         level: Density of its surface.
-        progress: Called with (gazes done, all gazes).
+        progress: Told about gazes.
 
     Returns:
         Morphs in metres, and how each was found, a value for each distinct place of a vertex.
     """
-    bound = bind(rest)
+    bound = head.at(rest)
     vertices, normals = np.asarray(face.vertices), np.asarray(face.vertex_normals)
     first, place = (np.asarray(index) for index in trimesh.grouping.unique_rows(vertices))
     points, outward = vertices[first], normals[first]
@@ -167,7 +168,7 @@ def face_morphs(
     plain = trimesh.Trimesh(points, faces, process=False).vertex_normals
     morphs, followed = [], []
     for i, gaze in enumerate(gazes):
-        follow = follow_gaze(bind(gaze), crossings, points, outward, links, share, level)
+        follow = follow_gaze(head.at(gaze), crossings, points, outward, links, share, level)
         offsets = follow.moves[:, None] * outward
         turned = trimesh.Trimesh(points + offsets, faces, process=False).vertex_normals
         near = (follow.moves != 0.0) | (links @ (follow.moves != 0.0) > 0)
@@ -178,8 +179,7 @@ def face_morphs(
         name = f"gaze {i:03d} pitch {pitch:+.0f} yaw {yaw:+.0f}"
         morphs.append(Morph(name, (offsets * bound.metres_per_unit)[place], change[place]))
         followed.append(follow)
-        if progress is not None:
-            progress(i + 1, len(gazes))
+        progress("sequence", i + 1, len(gazes))
     return tuple(morphs), followed
 
 
@@ -190,18 +190,18 @@ def check_sequence(gazes: Sequence[Gaze]) -> None:
 
 
 def sequence_scene(
-    bind: Callable[[Gaze], BoundField],
+    head: HeadField,
     rest: Gaze,
     scene: Scene,
     gazes: Sequence[Gaze],
     face: trimesh.Trimesh,
     level: float,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress = silent,
 ) -> Scene:
     """The rig with a clip `gaze sequence`: both eyes turn, and the face blends from morph to morph.
 
     Args:
-        bind, rest, face, level, progress: See `face_morphs`.
+        head, rest, face, level, progress: See `face_morphs`.
         scene: The rig at `rest`; its face node holds `face`.
         gazes: In order, `FPS` a second.
 
@@ -209,11 +209,11 @@ def sequence_scene(
         UserError: too few or too many gazes.
     """
     check_sequence(gazes)
-    morphs, followed = face_morphs(bind, rest, gazes, face, scene.eyeballs, level, progress)
+    morphs, followed = face_morphs(head, rest, gazes, face, scene.eyeballs, level, progress)
     times = np.arange(len(gazes)) / FPS
     clip = replace(eyes_clip("gaze sequence", gazes, times), weights={"face": np.eye(len(gazes))})
     nodes = tuple(replace(node, morphs=morphs) if node.name == "face" else node for node in scene.root.children)
-    mm = 1000.0 * bind(rest).metres_per_unit
+    mm = 1000.0 * head.at(rest).metres_per_unit
     facts = {
         "gazes_pitch_yaw_degrees": [list(gaze.degrees) for gaze in gazes],
         "gazes_a_second": FPS,

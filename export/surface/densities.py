@@ -16,10 +16,8 @@ from gazenerf.heads.interface import BoundField, Part
 MAX_RESOLUTION = 1024
 CHUNK = 2**13
 MEMORY_SHARE = 0.5
-BYTES_A_POINT = 16
-"""Peak bytes a grid point where the head fills the box: 11.6 measured coarse to fine, 15.5 with every point kept."""
-
-Progress = Callable[[int, int], None]
+BYTES_PER_POINT = 16
+"""Peak bytes per grid point where the head fills the box: 11.6 measured coarse to fine, 15.5 with every point kept."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +28,7 @@ class DensityGrid:
         values: (nx, ny, nz) float32 per world unit.
         origin: (3,) world position of values[0, 0, 0].
         spacing: World units between neighbours, the same along every axis.
-        queries: How many points the field was asked for.
+        queries: At how many points the field was queried.
     """
 
     values: np.ndarray
@@ -58,7 +56,7 @@ def grid_shape(box: np.ndarray, resolution: int) -> tuple[tuple[int, int, int], 
         raise UserError("the box must be two finite corners, the lower one first")
     spacing = float(extent.max() / (resolution - 1))
     nx, ny, nz = (int(n) for n in np.floor(extent / spacing + 1e-9) + 1)
-    needed, there = nx * ny * nz * BYTES_A_POINT, available_memory()
+    needed, there = nx * ny * nz * BYTES_PER_POINT, available_memory()
     if needed > MEMORY_SHARE * there:
         raise UserError(
             f"a grid of {nx}x{ny}x{nz} needs about {needed / 2**30:.1f} GiB, {there / 2**30:.1f} GiB are free; "
@@ -89,9 +87,9 @@ def query(bound: BoundField, points: np.ndarray, part: Part) -> np.ndarray:
 
 
 def sample_density(
-    bound: BoundField, part: Part, box: np.ndarray, resolution: int, progress: Progress | None = None
+    bound: BoundField, part: Part, box: np.ndarray, resolution: int, progress: Callable[[int, int], None] | None = None
 ) -> DensityGrid:
-    """The dense grid: every point is asked for. The slow reference of `gazenerf.export.surface.refine`."""
+    """The dense grid: queried at every point. The slow reference of `gazenerf.export.surface.refine`."""
     shape, spacing = grid_shape(box, resolution)
     origin = np.asarray(box[0], dtype=np.float64)
     values = np.empty(shape, dtype=np.float32)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 import trimesh
 
 from gazenerf.errors import UserError
@@ -16,6 +14,7 @@ from gazenerf.export.surface.isosurface import isosurface
 from gazenerf.export.surface.refine import refine_density, refine_grid
 from gazenerf.export.surface.threshold import CANDIDATES, Threshold, choose_threshold
 from gazenerf.heads.interface import BoundField, Part
+from gazenerf.progress import Progress, silent, steps_of
 
 JUDGING_RESOLUTION = 96
 """Grid points along the longest side while a threshold is chosen."""
@@ -24,9 +23,6 @@ PROBE = 64
 """Grid points along the longest side while the eyes are looked for."""
 
 KEPT_COMPONENTS = {"face": 1, "eyes": 2, "head": 3}
-
-Tell = Callable[[str, int, int], None]
-"""Called with (stage, done, total)."""
 
 
 @dataclass(frozen=True)
@@ -37,10 +33,10 @@ class Surface:
         mesh: World units.
         grid: Points along each axis.
         spacing: World units.
-        queries: Points the field's density was asked for.
+        queries: Points at which the field's density was queried.
         steps: How it was found.
         threshold: The level and why, None where no level was chosen.
-        volume: The density, every point asked for; None where it was not asked for or not kept.
+        volume: The density, queried at every point; None where it was not kept.
     """
 
     mesh: trimesh.Trimesh
@@ -60,7 +56,7 @@ def density_surface(
     threshold: str | float,
     method: str,
     dense: bool = False,
-    tell: Tell = lambda stage, done, total: None,
+    progress: Progress = silent,
 ) -> Surface:
     """The isosurface of one part.
 
@@ -71,8 +67,8 @@ def density_surface(
         resolution: Grid points along the longest side of the part's box.
         threshold: `auto`, a density, or a percentile such as `p50`.
         method: One of `gazenerf.export.surface.isosurface.METHODS`.
-        dense: Ask for every point of the grid and return it as the surface's `volume`.
-        tell: Progress.
+        dense: Query every point of the grid and return it as the surface's `volume`.
+        progress: Told about stages.
 
     Raises:
         UserError: impossible resolution, an empty volume, or no surface at the threshold.
@@ -82,7 +78,7 @@ def density_surface(
     queries += more
 
     def volumes(side: int, levels: tuple[float, float], dense: bool) -> tuple[DensityGrid, DensityGrid | None]:
-        told = _staged(tell, f"{part} density")
+        told = steps_of(progress, f"{part} density")
         own = (
             sample_density(bound, part, box, side, told)
             if dense
@@ -115,8 +111,8 @@ def density_surface(
 
 def _sockets(bound: BoundField, box: np.ndarray) -> tuple[np.ndarray | None, int]:
     """The part of a box (2, 3) where the eyes are, None where there are none; how many points that took."""
-    if not has_eyes(bound):
-        return None, 1
+    if "eyes" not in bound.parts:
+        return None, 0
     try:
         eyes, queries = part_box(bound, "eyes")
     except EmptyEyes as empty:
@@ -133,10 +129,6 @@ def _within(bound: BoundField, face: DensityGrid, box: np.ndarray, levels: tuple
     return refine_grid(bound, "eyes", face.origin + face.spacing * first, (nx, ny, nz), face.spacing, levels)
 
 
-def _staged(tell: Tell, stage: str) -> Callable[[int, int], None]:
-    return lambda done, total: tell(stage, done, total)
-
-
 def _fixed_level(threshold: str | float) -> float | None:
     """A threshold that needs no judging."""
     try:
@@ -147,15 +139,6 @@ def _fixed_level(threshold: str | float) -> float | None:
 
 def _judged_levels(threshold: str | float) -> tuple[float, float]:
     return (CANDIDATES[0], CANDIDATES[-1]) if threshold == "auto" else (1e-3, np.inf)
-
-
-def has_eyes(bound: BoundField) -> bool:
-    """Whether the field has an eyes volume of its own."""
-    try:
-        bound.density(torch.zeros(1, 3), "eyes")
-    except UserError:
-        return False
-    return True
 
 
 class EmptyEyes(UserError):

@@ -15,9 +15,10 @@ import trimesh
 from gazenerf.errors import UserError
 from gazenerf.export.mesh.cleaning import without_collapsed
 from gazenerf.export.surface.densities import grid_shape
-from gazenerf.export.surface.density_surface import Surface, Tell, part_box
+from gazenerf.export.surface.density_surface import Surface, part_box
 from gazenerf.geometry import Camera
 from gazenerf.heads.interface import BoundField, GeometryView, Part
+from gazenerf.progress import Progress, silent
 
 SURFACES = ("isosurface", "tsdf", "poisson")
 
@@ -73,7 +74,7 @@ def fused_surface(
     how: str,
     *,
     resolution: int,
-    tell: Tell = lambda stage, done, total: None,
+    progress: Progress = silent,
 ) -> Surface:
     """The surface of one part from its depth in pictures all around.
 
@@ -81,7 +82,7 @@ def fused_surface(
         how: `tsdf`: truncated signed distances fused in a grid (Curless and Levoy 1996); `poisson`: a
             screened Poisson solid (Kazhdan and Hoppe 2013) fitted to the pictures' points and normals.
         resolution: Grid points along the longest side of the part's box.
-        tell: Progress.
+        progress: Told about stages.
 
     Raises:
         UserError: open3d cannot be loaded, impossible resolution, or no surface is seen.
@@ -91,7 +92,7 @@ def fused_surface(
     frame = _frame(box, resolution)
     views = []
     for i, camera in enumerate(frame.cameras):
-        tell(f"{part} depth", i, len(frame.cameras))
+        progress(f"{part} depth", i, len(frame.cameras))
         views.append(_inside(bound.render_geometry(camera, part, normals=how == "poisson"), frame))
     if not any(np.isfinite(view.depth).any() for view in views):
         raise UserError(f"no view shows the {part} volume; it is empty, or the field's box misses the head")
@@ -123,8 +124,7 @@ def _frame(box: np.ndarray, resolution: int) -> _Frame:
 
 def _inside(view: GeometryView, frame: _Frame) -> GeometryView:
     """A view without the depth of what lies outside the cube."""
-    rays_o, rays_d = view.camera.rays()
-    away = np.abs(rays_o + view.depth[..., None] * rays_d - frame.centre).max(axis=-1)
+    away = np.abs(view.points() - frame.centre).max(axis=-1)
     return replace(view, depth=np.where(away <= 0.5 * frame.side, view.depth, np.nan).astype(np.float32))
 
 
@@ -159,10 +159,9 @@ def _poisson(o3d: Any, frame: _Frame, views: list[GeometryView]) -> trimesh.Trim
     points, normals = [], []
     for view in views:
         assert view.normals is not None
-        rays_o, rays_d = view.camera.rays()
-        facing = -(rays_d * view.normals).sum(axis=-1)
+        facing = -(view.camera.rays()[1] * view.normals).sum(axis=-1)
         used = np.isfinite(view.depth) & (np.nan_to_num(facing, nan=-1.0) > 0.3)
-        points.append((rays_o + view.depth[..., None] * rays_d)[used])
+        points.append(view.points()[used])
         normals.append(view.normals[used])
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(np.concatenate(points).astype(np.float64)))
     cloud.normals = o3d.utility.Vector3dVector(np.concatenate(normals).astype(np.float64))

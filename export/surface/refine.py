@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from gazenerf.export.surface.densities import CHUNK, DensityGrid, Progress, grid_points, grid_shape, query
+from gazenerf.export.surface.densities import CHUNK, DensityGrid, grid_points, grid_shape, query
 from gazenerf.heads.interface import BoundField, Part
 
 COARSE = 64
@@ -18,7 +19,7 @@ CELLS = 2**17
 SLAB = 2**21
 """Points that are filled in or checked at a time."""
 
-_ASKED, _WANTED = np.uint8(1), np.uint8(2)
+_QUERIED, _WANTED = np.uint8(1), np.uint8(2)
 _CORNERS = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(8, 3)
 
 
@@ -30,9 +31,9 @@ def refine_density(
     levels: tuple[float, float],
     *,
     factor: int | None = None,
-    progress: Progress | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> DensityGrid:
-    """The grid of `sample_density`, asked for only near surfaces of levels between two densities.
+    """The grid of `sample_density`, queried only near surfaces of levels between two densities.
 
     See `refine_grid`.
 
@@ -57,15 +58,15 @@ def refine_grid(
     spacing: float,
     levels: tuple[float, float],
     factor: int | None = None,
-    progress: Progress | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> DensityGrid:
     """Density at a given grid, exact at the corners of every cell that a surface of the levels crosses.
 
-    Every `factor`-th point is asked for, and every point between two of them that lie on different
-    sides of the levels. From the crossings found there, cells are followed: a crossed cell is asked
-    for at its eight corners and leads on through its crossed faces. All other points repeat the last
-    known value before them along z; where that makes a cell look crossed, its coarse cell is asked
-    for whole, and followed, until no such cell is left. Outside the grid the density is 0.
+    Every `factor`-th point is queried, and every point between two of them that lie on different
+    sides of the levels. From the crossings found there, cells are followed: a crossed cell is queried
+    at its eight corners and leads on through its crossed faces. All other points repeat the last
+    known value before them along z; where that makes a cell look crossed, its coarse cell is queried
+    whole, and followed, until no such cell is left. Outside the grid the density is 0.
 
     So every crossed cell of the finished grid is exact at all corners, and what is found is whole: a
     surface goes on through a face whose corners are exact, into a cell that is crossed in the
@@ -93,7 +94,7 @@ def refine_grid(
 
 @dataclass
 class _Front:
-    """A grid that is being asked for along surfaces, in a frame of zeros where surfaces are closed.
+    """A grid that is being queried along surfaces, in a frame of zeros where surfaces are closed.
 
     Points and cells are named by flat indices; a cell by its corner nearest to the origin, which is
     the frame's.
@@ -105,14 +106,14 @@ class _Front:
     inside: tuple[int, int, int]
     spacing: float
     levels: tuple[float, float]
-    progress: Progress | None = None
+    progress: Callable[[int, int], None] | None = None
     queries: int = 0
     values: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
         self.shape = tuple(n + 2 for n in self.inside)
         self.values = np.zeros(self.shape, dtype=np.float32)
-        self.state = np.full(self.shape, _ASKED, dtype=np.uint8)
+        self.state = np.full(self.shape, _QUERIED, dtype=np.uint8)
         self.state[1:-1, 1:-1, 1:-1] = 0
         self._flat, self._marks = self.values.reshape(-1), self.state.reshape(-1)
         _, ny, nz = self.shape
@@ -120,16 +121,16 @@ class _Front:
         self._corners = _CORNERS @ self._strides
         self._done = 0
 
-    def ask(self, points: np.ndarray) -> None:
-        """Ask the field for points (n,) not yet asked for, each once."""
-        points = points[(self._marks[points] & _ASKED) == 0]
+    def query_points(self, points: np.ndarray) -> None:
+        """Query the field at points (n,) not yet queried, each once."""
+        points = points[(self._marks[points] & _QUERIED) == 0]
         if not len(points):
             return
         points = np.unique(points)
         for start in range(0, len(points), CHUNK):
             chunk = points[start : start + CHUNK]
             self._flat[chunk] = query(self.bound, grid_points(chunk, self.shape, self.origin, self.spacing), self.part)
-        self._marks[points] |= _ASKED
+        self._marks[points] |= _QUERIED
         self.queries += len(points)
 
     def differ(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -137,9 +138,9 @@ class _Front:
         return (np.maximum(a, b) >= self.levels[0]) & (np.minimum(a, b) <= self.levels[1])
 
     def sides_of_coarse(self, ticks: list[np.ndarray]) -> np.ndarray:
-        """Ask for coarse points and between those that differ; the cells around crossings found there."""
+        """Query coarse points and between those that differ; the cells around crossings found there."""
         coarse = _flat(np.meshgrid(*ticks, indexing="ij"), self._strides)
-        self.ask(coarse.reshape(-1))
+        self.query_points(coarse.reshape(-1))
         values = self._flat[coarse]
         around = []
         for axis in range(3):
@@ -151,7 +152,7 @@ class _Front:
             first, gap = coarse[near][mixed], gaps[mixed]
             steps = self._strides[axis] * np.arange(gap.max() if len(gap) else 0)
             edges = (first[:, None] + steps)[np.arange(len(steps)) < gap[:, None]]
-            self.ask(edges)
+            self.query_points(edges)
             edges = edges[self.differ(self._flat[edges], self._flat[edges + self._strides[axis]])]
             others = np.delete(self._strides, axis)
             place = np.stack(np.unravel_index(edges, self.shape), axis=-1)
@@ -163,7 +164,7 @@ class _Front:
         return np.unique(np.concatenate(around))
 
     def follow(self, cells: np.ndarray) -> None:
-        """Ask for the corners of cells (n,) and of all that crossed faces lead to."""
+        """Query the corners of cells (n,) and of all that crossed faces lead to."""
         cells = cells[(self._marks[cells] & _WANTED) == 0]
         self._marks[cells] |= _WANTED
         waiting = [cells]
@@ -174,7 +175,7 @@ class _Front:
                 waiting.append(cells[CELLS:])
                 cells = cells[:CELLS]
             corners = cells[:, None] + self._corners
-            self.ask(corners.reshape(-1))
+            self.query_points(corners.reshape(-1))
             found = self._beyond(cells, self._flat[corners])
             if len(found):
                 waiting.append(found)
@@ -201,14 +202,14 @@ class _Front:
         return np.concatenate(found)
 
     def fill(self) -> None:
-        """Give points not asked for the last value known before them along z."""
+        """Give points not queried the last value known before them along z."""
         for slab in self._slabs():
             _fill_along_last(self.values[slab], self.state[slab])
 
     def guessed_crossings(self, ticks: list[np.ndarray]) -> np.ndarray:
-        """All cells of the coarse cells where a cell is crossed but was not asked for at all corners.
+        """All cells of the coarse cells where a cell is crossed but was not queried at all corners.
 
-        Two asked points tell of a surface between them that was not followed: a small piece.
+        Two queried points tell of a surface between them that was not followed: a small piece.
         """
         found = []
         for slab in self._slabs():
@@ -216,7 +217,7 @@ class _Front:
             values = self.values[planes]
             bits = (values >= self.levels[0]).view(np.uint8)
             bits |= (values <= self.levels[1]).view(np.uint8) << 1
-            bits |= (~self.state[planes] & _ASKED) << 2
+            bits |= (~self.state[planes] & _QUERIED) << 2
             for axis in (2, 1, 0):
                 bits = bits[_along(axis, slice(None, -1))] | bits[_along(axis, slice(1, None))]
             place = np.argwhere(bits == 7)
@@ -240,8 +241,8 @@ class _Front:
 
 
 def _fill_along_last(values: np.ndarray, state: np.ndarray) -> None:
-    """Repeat values along the last axis where they were not asked for, in place; the first was."""
-    known = (state & _ASKED) != 0
+    """Repeat values along the last axis where they were not queried, in place; the first was."""
+    known = (state & _QUERIED) != 0
     last = np.where(known, np.arange(values.shape[-1], dtype=np.int32), np.int32(0))
     np.maximum.accumulate(last, axis=-1, out=last)
     values[...] = np.take_along_axis(values, last, axis=-1)

@@ -67,6 +67,19 @@ class PictureArguments:
 
 
 @dataclass(frozen=True, kw_only=True)
+class FolderArguments:
+    """Where several files go.
+
+    Attributes:
+        out: A folder.
+        overwrite: Replace files in it.
+    """
+
+    out: Path = option(help="folder for the files and their sidecars", metavar="DIR")
+    overwrite: bool = option(False, "replace files at --out")
+
+
+@dataclass(frozen=True, kw_only=True)
 class GazeArguments:
     """Where the eyes look.
 

@@ -10,6 +10,7 @@ import argparse
 import dataclasses
 import types
 import typing
+from collections.abc import Callable
 from typing import Any, TypeVar
 
 from gazenerf.options import KEY, Option, options_of
@@ -111,9 +112,13 @@ def given(kind: type, namespace: argparse.Namespace) -> dict[str, Any]:
 
 
 def parsed(kind: type[T], namespace: argparse.Namespace) -> T:
-    """The dataclass with what was typed, and its own defaults elsewhere."""
+    """The dataclass with what was typed, and its own defaults elsewhere.
+
+    A dataclass whose defaults depend on what was typed has a class method `from_given`.
+    """
     assert dataclasses.is_dataclass(kind)
-    return kind(**given(kind, namespace))
+    make: Callable[..., T] = getattr(kind, "from_given", kind)
+    return make(**given(kind, namespace))
 
 
 def _tuples(value: Any) -> Any:

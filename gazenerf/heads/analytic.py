@@ -6,7 +6,7 @@ truth. Faults can be injected: parts moved or scaled, eyes that look elsewhere t
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +14,7 @@ import torch
 
 from gazenerf.errors import UserError
 from gazenerf.geometry import Camera, Gaze
-from gazenerf.geometry.paths import GazeRange
+from gazenerf.geometry.paths import BeyondTraining, GazeRange
 from gazenerf.heads.interface import PARTS, BoundField, GeometryView, Part, RenderedView
 from gazenerf.subjects import Codes, Subject
 
@@ -177,6 +177,10 @@ class AnalyticHead:
     @property
     def trained_range(self) -> GazeRange | None:
         """Every gaze is exact."""
+        return None
+
+    def check(self, gazes: Gaze | Iterable[Gaze]) -> BeyondTraining | None:
+        """No gaze is beyond what it was trained on."""
         return None
 
     def at(self, gaze: Gaze) -> BoundField:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 
 import pytest
@@ -10,40 +9,36 @@ import trimesh
 
 import gazenerf.export.appearance.colours
 from gazenerf.cli import mesh
-from gazenerf.cli.main import main
-from gazenerf.export.options import DEFAULTS, PRESETS
-from gazenerf.heads.analytic import AnalyticField
-
-
-class Scene:
-    """Binds the analytic field."""
-
-    def bind(self, subject, gaze):
-        return AnalyticField(gaze, sharpness=0.2)
+from gazenerf.cli.main import build_parser, main
+from gazenerf.cli.parser import parsed
+from gazenerf.export.options import PRESETS, MeshOptions
+from gazenerf.heads.analytic import AnalyticField, AnalyticHead
+from gazenerf.options import to_dict
 
 
 @pytest.fixture
 def analytic(monkeypatch):
     """The command meshes the analytic field."""
     monkeypatch.setattr(gazenerf.export.appearance.colours, "PICTURE", 96)
-    monkeypatch.setattr("gazenerf.cli.views.load_scene", lambda args: (Scene(), None))
+    head = AnalyticHead(lambda gaze: AnalyticField(gaze, sharpness=0.2))
+    monkeypatch.setattr("gazenerf.cli.arguments.SourceArguments.load", lambda self: head)
 
 
-def parsed(*words: str) -> argparse.Namespace:
-    parser = argparse.ArgumentParser()
-    mesh.configure(parser)
-    return parser.parse_args(["--out", "x", *words])
+def options_of(*typed: str) -> mesh.Options:
+    return parsed(mesh.Options, build_parser(["mesh"]).parse_args(["mesh", "--out", "x", *typed]))
 
 
 def test_without_arguments_nothing_but_the_defaults():
-    assert mesh.chosen_settings(parsed()) == DEFAULTS
+    found, usual = to_dict(options_of()), to_dict(MeshOptions())
+    assert usual.items() <= found.items()
 
 
 @pytest.mark.parametrize("use", PRESETS)
 def test_presets_are_offered_and_given_arguments_win(use):
-    assert mesh.chosen_settings(parsed("--for", use)) == DEFAULTS | PRESETS[use]
-    given = mesh.chosen_settings(parsed("--for", use, "--formats", "obj", "--resolution", "64", "--no-colours"))
-    assert given == DEFAULTS | PRESETS[use] | {"formats": ("obj",), "resolution": 64, "colours": False}
+    expected = to_dict(MeshOptions.preset(use))
+    assert expected.items() <= to_dict(options_of("--for", use)).items()
+    given = to_dict(options_of("--for", use, "--formats", "obj", "--resolution", "64", "--no-colours"))
+    assert (expected | {"formats": ["obj"], "resolution": 64, "colours": False}).items() <= given.items()
 
 
 def test_web_writes_textured_parts_and_a_rig(analytic, tmp_path, capsys):
@@ -57,12 +52,11 @@ def test_web_writes_textured_parts_and_a_rig(analytic, tmp_path, capsys):
     assert json.loads((tmp_path / "face.json").read_text())["faces"] <= 3000
 
 
-def test_a_preset_s_rig_can_be_left_out(analytic, tmp_path, monkeypatch):
-    asked = []
-    monkeypatch.setattr("export.mesh_subject", lambda *_, **settings: asked.append(settings["bind"] is not None) or {})
-    monkeypatch.setattr("gazenerf.export.summary.rig_rows", lambda path: {})
-    for words in ([], ["--no-rig"], ["--parts", "face"], ["--parts", "face", "--rig"]):
-        assert main(["mesh", "--out", str(tmp_path), "--for", "web", *words]) == 0
+def test_a_preset_s_rig_can_be_left_out():
+    asked = [
+        options_of("--for", "web", *words).rig
+        for words in ([], ["--no-rig"], ["--parts", "face"], ["--parts", "face", "--rig"])
+    ]
     assert asked == [True, False, False, True]
 
 

@@ -10,10 +10,10 @@ import pytest
 import torch
 
 from gazenerf.errors import UserError
-from gazenerf.export import mesh_subject
-from gazenerf.heads.analytic import AnalyticField
+from gazenerf.export import MeshOptions, mesh_subject
+from gazenerf.heads.analytic import AnalyticField, AnalyticHead
 
-QUICK = {"resolution": 32, "threshold": 100.0, "colours": False}
+QUICK: dict = {"resolution": 32, "threshold": 100.0, "colours": False}
 
 
 class Damaged(AnalyticField):
@@ -30,7 +30,7 @@ def refused(out: Path, match: str, bound=None, **settings) -> None:
     """Meshing fails in one line and leaves `out` as it was."""
     before = sorted(out.rglob("*")) if out.exists() else []
     with pytest.raises(UserError, match=match) as caught:
-        mesh_subject(bound or AnalyticField(), out, **{**QUICK, **settings})
+        mesh_subject(AnalyticHead(lambda gaze: bound or AnalyticField(gaze)), out, MeshOptions(**{**QUICK, **settings}))
     assert "\n" not in str(caught.value)
     assert (sorted(out.rglob("*")) if out.exists() else []) == before
 
@@ -45,7 +45,7 @@ def test_impossible_densities(tmp_path, monkeypatch, wrong, settings):
 @pytest.mark.parametrize("name", ["face.glb", "face.nrrd", "face-points.ply", "face.mtl", "rig.glb"])
 def test_any_existing_file(tmp_path, name):
     (tmp_path / name).write_text("mine")
-    settings = {"points": 10, "volumes": ("nrrd",), "texture": 1024, "bind": lambda gaze: AnalyticField(gaze)}
+    settings = {"points": 10, "volumes": ("nrrd",), "texture": 1024, "rig": True}
     refused(tmp_path, "--overwrite", **settings)
     assert (tmp_path / name).read_text() == "mine"
 

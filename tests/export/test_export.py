@@ -12,12 +12,12 @@ import trimesh
 from scipy.ndimage import gaussian_filter, label
 
 from gazenerf.errors import UserError
-from gazenerf.export import extract_part, mesh_subject
+from gazenerf.export import MeshOptions, extract_part, mesh_subject
 from gazenerf.export.mesh.rays import _cast_vtk, cast_rays
 from gazenerf.export.surface.densities import DensityGrid, fill_enclosed, grid_shape, sample_density
 from gazenerf.export.surface.isosurface import METHODS, isosurface
 from gazenerf.export.surface.refine import refine_density
-from gazenerf.heads.analytic import AnalyticField
+from gazenerf.heads.analytic import AnalyticField, AnalyticHead
 
 HALF = 100.0
 
@@ -59,7 +59,7 @@ def test_refined_and_dense_grids_give_the_same_surface_for_fewer_queries(bound):
 
 def test_eyes_come_out_as_two_spheres_of_the_right_size(bound):
     bound = AnalyticField(sharpness=0.2)
-    extracted = extract_part(bound, "eyes", resolution=128, colours=False)
+    extracted = extract_part(bound, "eyes", MeshOptions(resolution=128, colours=False))
     pieces = extracted.mesh.split()
     assert len(pieces) == 2
     for piece, eye in zip(sorted(pieces, key=lambda p: -p.centroid[0]), bound.eyes, strict=True):
@@ -126,7 +126,7 @@ def test_both_isosurfaces_enclose_the_same_and_face_outward(seed):
 
 
 def test_files_reload_alike_in_metres_with_a_sidecar(bound, tmp_path):
-    meshes = mesh_subject(bound, tmp_path, resolution=48, threshold=HALF)
+    meshes = mesh_subject(AnalyticHead(), tmp_path, MeshOptions(resolution=48, threshold=HALF)).parts
     for part, extracted in meshes.items():
         expected = np.asarray(extracted.mesh.bounds) * 0.1
         about = json.loads((tmp_path / f"{part}.json").read_text())
@@ -151,7 +151,7 @@ def test_files_reload_alike_in_metres_with_a_sidecar(bound, tmp_path):
 
 
 def test_iris_colour_lands_where_the_eye_looks(bound):
-    extracted = extract_part(bound, "eyes", resolution=96)
+    extracted = extract_part(bound, "eyes", MeshOptions(resolution=96))
     vertices, colours = np.asarray(extracted.mesh.vertices), np.asarray(extracted.mesh.visual.vertex_colors)[:, 0]
     left = vertices[:, 0] > 0
     look = (vertices[left] - bound.eyes[0].centre)[:, 2] / 0.12
@@ -181,7 +181,8 @@ def test_both_ray_casters_agree(bound):
 )
 def test_bad_input_is_one_line_and_writes_nothing(bound, tmp_path, settings, message):
     with pytest.raises(UserError, match=message) as caught:
-        mesh_subject(bound, tmp_path / "out", **{"resolution": 32, "colours": False, **settings})
+        options: dict = {"resolution": 32, "colours": False, **settings}
+        mesh_subject(AnalyticHead(), tmp_path / "out", MeshOptions(**options))
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "out").exists() or not any((tmp_path / "out").iterdir())
 
@@ -189,7 +190,8 @@ def test_bad_input_is_one_line_and_writes_nothing(bound, tmp_path, settings, mes
 def test_existing_files_are_kept_without_overwrite(bound, tmp_path):
     (tmp_path / "face.ply").write_text("mine")
     with pytest.raises(UserError, match="--overwrite"):
-        mesh_subject(bound, tmp_path, parts=("face",), formats=("ply",), resolution=32, colours=False)
+        options = MeshOptions(parts=("face",), formats=("ply",), resolution=32, colours=False)
+        mesh_subject(AnalyticHead(), tmp_path, options)
     assert (tmp_path / "face.ply").read_text() == "mine"
 
 

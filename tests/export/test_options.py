@@ -2,27 +2,33 @@
 
 from __future__ import annotations
 
-import inspect
-
 import pytest
 
 from gazenerf.errors import UserError
-from gazenerf.export import extract_part, mesh_subject
-from gazenerf.export.options import DEFAULTS, PRESETS, RIGGED, settings
-
-
-def test_presets_speak_the_language_of_mesh_subject():
-    known = {**inspect.signature(mesh_subject).parameters, **inspect.signature(extract_part).parameters}
-    assert set(DEFAULTS) <= set(known) and all(set(preset) <= set(DEFAULTS) for preset in PRESETS.values())
-    assert set(RIGGED) <= set(PRESETS)
-    assert {name: known[name].default for name in DEFAULTS} == DEFAULTS
+from gazenerf.export import MeshOptions
+from gazenerf.export.options import PRESETS
 
 
 def test_given_wins_over_preset_wins_over_default():
-    assert settings(None, {}) == DEFAULTS
-    web = settings("web", {"max_faces": None, "texture": 4096})
-    assert (web["texture"], web["max_faces"], web["parts"]) == (4096, 15_000, ("face", "eyes"))
-    assert settings("blender", {"smoothing": 0, "colours": False})["smoothing"] == 0
-    assert settings("blender", {"colours": False})["colours"] is False
+    assert MeshOptions.preset(None) == MeshOptions()
+    web = MeshOptions.preset("web", texture=4096)
+    assert (web.texture, web.max_faces, web.parts) == (4096, 15_000, ("face", "eyes"))
+    assert MeshOptions.preset("blender", smoothing=0, colours=False).smoothing == 0
+    assert MeshOptions.preset("blender", colours=False).colours is False
     with pytest.raises(UserError, match="blender, web, print, research"):
-        settings("unity", {})
+        MeshOptions.preset("unity")
+
+
+@pytest.mark.parametrize("use", PRESETS)
+def test_every_preset_can_be_made(use):
+    MeshOptions.preset(use).check()
+
+
+def test_a_presets_rig_goes_with_the_parts_it_needs():
+    assert MeshOptions.preset("web").rig and not MeshOptions.preset("web", rig=False).rig
+    assert not MeshOptions.preset("web", parts=("face",)).rig
+    assert MeshOptions.preset("web", parts=("face",), rig=True).rig, "refused later, aloud"
+
+
+def test_words_given_twice_count_once():
+    assert MeshOptions(parts=("face", "eyes", "face"), formats=("glb", "glb")) == MeshOptions(formats=("glb",))

@@ -8,9 +8,9 @@ import trimesh
 
 import gazenerf.export.appearance.colours
 from gazenerf.errors import UserError
-from gazenerf.export import extract_part, mesh_subject
+from gazenerf.export import MeshOptions, extract_part, mesh_subject
 from gazenerf.export.appearance.points import MAX_POINTS, sample_points, write_points
-from gazenerf.heads.analytic import AnalyticField
+from gazenerf.heads.analytic import AnalyticField, AnalyticHead
 
 
 @pytest.fixture(autouse=True)
@@ -27,8 +27,8 @@ def read_ply(path):
 
 def test_points_lie_on_the_surface_with_its_normals_and_colours(tmp_path):
     bound = AnalyticField(sharpness=0.2)
-    settings = {"resolution": 48, "threshold": 100.0, "formats": ("ply",)}
-    mesh_subject(bound, tmp_path, parts=("face",), points=3000, **settings)
+    options = MeshOptions(resolution=48, threshold=100.0, formats=("ply",), parts=("face",), points=3000)
+    mesh_subject(AnalyticHead(lambda gaze: bound), tmp_path, options)
     cloud = read_ply(tmp_path / "face-points.ply")
     points = np.asarray(cloud.points, dtype=np.float64) / 0.1
     assert len(points) == 3000
@@ -51,7 +51,7 @@ def test_points_are_even_and_the_same_every_time():
 
 def test_points_without_colours_have_none_in_the_file(tmp_path):
     extracted = extract_part(
-        AnalyticField(), "eyes", resolution=32, threshold=100.0, colours=False, points=50, volume=False
+        AnalyticField(), "eyes", MeshOptions(resolution=32, threshold=100.0, colours=False, points=50)
     )
     write_points(extracted.points, 0.1, tmp_path / "eyes.ply")
     text = (tmp_path / "eyes.ply").read_bytes()
@@ -62,4 +62,4 @@ def test_points_without_colours_have_none_in_the_file(tmp_path):
 @pytest.mark.parametrize("count", [0, -5, MAX_POINTS + 1])
 def test_impossible_counts_are_refused(count):
     with pytest.raises(UserError, match="--points"):
-        extract_part(AnalyticField(), "face", points=count)
+        extract_part(AnalyticField(), "face", MeshOptions(points=count))

@@ -10,14 +10,14 @@ import trimesh
 
 import gazenerf.export.appearance.colours
 from gazenerf.errors import UserError
-from gazenerf.export import extract_part, mesh_subject
+from gazenerf.export import MeshOptions, extract_part, mesh_subject
 from gazenerf.export.appearance.colours import blend_colours, part_pictures
 from gazenerf.export.appearance.texture import bake_texture, dilate, texels, unwrap
 from gazenerf.export.appearance.textured_views import render_glb, texture_psnr
 from gazenerf.export.formats.files import textured_node
 from gazenerf.export.formats.gltf import glb
 from gazenerf.geometry import Camera
-from gazenerf.heads.analytic import AnalyticField
+from gazenerf.heads.analytic import AnalyticField, AnalyticHead
 
 
 @pytest.fixture(autouse=True)
@@ -32,7 +32,7 @@ def bound():
 
 @pytest.fixture(scope="module")
 def face(bound):
-    return extract_part(bound, "face", resolution=40, threshold=100.0, colours=False).mesh
+    return extract_part(bound, "face", MeshOptions(resolution=40, threshold=100.0, colours=False)).mesh
 
 
 @pytest.fixture(scope="module")
@@ -88,8 +88,8 @@ def test_the_texture_holds_the_colour_of_its_surface(textured):
 def test_files_with_textures_reload(bound, tmp_path, monkeypatch):
     monkeypatch.setattr("gazenerf.export.pipeline.texture_psnr", lambda *_: {"psnr_db": [30.0]})
     bound = AnalyticField(sharpness=0.2)
-    settings = {"resolution": 32, "threshold": 100.0, "texture": 1024}
-    mesh_subject(bound, tmp_path, parts=("face",), formats=("glb", "obj", "ply"), **settings)
+    settings: dict = {"resolution": 32, "threshold": 100.0, "texture": 1024, "formats": ("glb", "obj", "ply")}
+    mesh_subject(AnalyticHead(lambda gaze: bound), tmp_path, MeshOptions(parts=("face",), **settings))
     written = sorted(path.name for path in tmp_path.iterdir())
     assert written == ["face.glb", "face.json", "face.mtl", "face.obj", "face.ply", "face.png"]
     pictures = []
@@ -132,17 +132,17 @@ def test_without_opengl_the_comparison_says_why(bound, textured, monkeypatch):
 
 def test_other_sizes_are_refused(bound):
     with pytest.raises(UserError, match="1024, 2048 or 4096"):
-        extract_part(bound, "face", texture=1000)
+        extract_part(bound, "face", MeshOptions(texture=1000))
 
 
 def test_a_texture_that_cannot_fit_says_how_large_it_would_be(bound, monkeypatch):
     monkeypatch.setattr("gazenerf.export.appearance.texture.available_memory", lambda: 2**30)
     with pytest.raises(UserError, match=r"1\.6 GiB, 1\.0 GiB are free; give a smaller --texture"):
-        extract_part(bound, "face", texture=4096)
+        extract_part(bound, "face", MeshOptions(texture=4096))
 
 
 def test_what_is_cut_from_the_mesh_but_hides_it_in_a_picture_gives_no_colour(bound):
-    both = extract_part(bound, "eyes", resolution=64, threshold=100.0, colours=False).mesh
+    both = extract_part(bound, "eyes", MeshOptions(resolution=64, threshold=100.0, colours=False)).mesh
     left = both.split()
     left = max(left, key=lambda piece: piece.centroid[0])
     right_side = part_pictures(bound, "eyes", ((-90.0, 0.0),))

@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from gazenerf.cli.main import main
 from gazenerf.errors import UserError
-from gazenerf.export.formats.datasets import RING_PITCHES, rings, write_dataset
+from gazenerf.export.formats.datasets import RING_PITCHES, DatasetOptions, rings, write_dataset
 from gazenerf.geometry import Camera
-from gazenerf.heads.analytic import AnalyticField
+from gazenerf.heads.analytic import AnalyticField, AnalyticHead
 
 CAMERAS = rings(7, size=96)
 
@@ -21,7 +21,7 @@ CAMERAS = rings(7, size=96)
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
     out = tmp_path_factory.mktemp("dataset") / "out"
-    write_dataset(AnalyticField(sharpness=0.2), out, CAMERAS, points=700)
+    write_dataset(AnalyticField(sharpness=0.2), out, CAMERAS, DatasetOptions(points=700))
     return out
 
 
@@ -105,7 +105,8 @@ def test_rings_look_at_the_head_from_all_sides():
 )
 def test_bad_input_is_one_line_and_writes_nothing(tmp_path, settings, message):
     with pytest.raises(UserError, match=message):
-        write_dataset(AnalyticField(), tmp_path / "out", **{"cameras": CAMERAS, **settings})
+        cameras = settings.pop("cameras", CAMERAS)
+        write_dataset(AnalyticField(), tmp_path / "out", cameras, DatasetOptions(**settings))
     assert not (tmp_path / "out").exists()
 
 
@@ -124,10 +125,7 @@ def test_an_existing_dataset_is_kept_and_a_failing_field_leaves_nothing(dataset,
 
 
 def test_the_command_writes_what_it_says(tmp_path, monkeypatch, capsys):
-    subject = AnalyticField().subject
-    monkeypatch.setattr(
-        "gazenerf.cli.common.load_bound_factory", lambda args: (subject, lambda gaze: AnalyticField(gaze))
-    )
+    monkeypatch.setattr("gazenerf.cli.arguments.SourceArguments.load", lambda self: AnalyticHead())
     words = ["--size", "32", "--frames", "3", "--camera-path", "full-turn", "--layouts", "colmap", "--points", "30"]
     assert main(["export", "--out", str(tmp_path / "out"), *words]) == 0
     assert "3 pictures of 32x32" in capsys.readouterr().out

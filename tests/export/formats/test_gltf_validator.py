@@ -14,9 +14,9 @@ import subprocess
 import pytest
 
 import gazenerf.export.appearance.colours
-from gazenerf.export import mesh_subject
+from gazenerf.export import MeshOptions, mesh_subject
 from gazenerf.geometry import Gaze
-from gazenerf.heads.analytic import AnalyticField
+from gazenerf.heads.analytic import AnalyticField, AnalyticHead
 
 SCRIPT = """
 const fs = require('fs'), validator = require(process.argv[1]);
@@ -49,9 +49,9 @@ def bind(gaze):
 @pytest.mark.parametrize("texture", [None, 1024])
 def test_no_errors_and_no_warnings(validate, tmp_path, monkeypatch, texture):
     monkeypatch.setattr(gazenerf.export.appearance.colours, "PICTURE", 96)
-    settings = {"resolution": 40, "threshold": 100.0, "formats": ("glb",), "texture": texture}
+    options = MeshOptions(resolution=40, threshold=100.0, formats=("glb",), texture=texture)
     gazes = [Gaze.from_degrees(0.0, 10.0), Gaze.from_degrees(10.0, 0.0)]
-    mesh_subject(bind(Gaze()), tmp_path, bind=bind, sequence=gazes, **settings)
+    mesh_subject(AnalyticHead(bind), tmp_path, options, sequence=gazes)
     for name in ("face.glb", "eyes.glb", "rig.glb", "sequence.glb"):
         report = validate(tmp_path / name)
         assert report["issues"]["messages"] == [], name

@@ -10,11 +10,10 @@ import trimesh
 
 import gazenerf.export.appearance.colours
 from gazenerf.errors import UserError
-from gazenerf.export import mesh_subject
+from gazenerf.export import MeshOptions, mesh_subject
 from gazenerf.export.formats.gltf import Animation, Node, Texture
 from gazenerf.export.formats.usd import RATE, usdz
-from gazenerf.geometry import Gaze
-from gazenerf.heads.analytic import AnalyticField
+from gazenerf.heads.analytic import AnalyticField, AnalyticHead
 
 pxr = pytest.importorskip("pxr", reason="usd-core is not installed: pip install 'gazenerf[usd]'")
 
@@ -89,8 +88,8 @@ def test_meshes_and_rig_are_written_as_usdz(tmp_path, monkeypatch):
     from pxr import Usd
 
     monkeypatch.setattr(gazenerf.export.appearance.colours, "PICTURE", 96)
-    settings = {"resolution": 40, "threshold": 100.0, "formats": ("usdz",), "texture": 1024, "bind": bind}
-    mesh_subject(bind(Gaze()), tmp_path, **settings)
+    options = MeshOptions(resolution=40, threshold=100.0, formats=("usdz",), texture=1024, rig=True)
+    mesh_subject(AnalyticHead(bind), tmp_path, options)
     for name in ("face", "eyes", "rig"):
         stage = Usd.Stage.Open(str(tmp_path / f"{name}.usdz"))
         assert stage.GetDefaultPrim().IsValid()
@@ -100,5 +99,5 @@ def test_meshes_and_rig_are_written_as_usdz(tmp_path, monkeypatch):
 def test_without_usd_core_the_fix_is_named_before_anything_is_done(tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "pxr", None)
     with pytest.raises(UserError, match="gazenerf\\[usd\\]"):
-        mesh_subject(bind(Gaze()), tmp_path / "out", formats=("usdz",))
+        mesh_subject(AnalyticHead(bind), tmp_path / "out", MeshOptions(formats=("usdz",)))
     assert not (tmp_path / "out").exists()

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from gazenerf.errors import UserError
-from gazenerf.export import mesh_subject
-from gazenerf.export.formats.volumes import VOLUMES, read_nrrd, write_volume
+from gazenerf.export import MeshOptions, mesh_subject
+from gazenerf.export.formats.volumes import read_nrrd, write_volume
+from gazenerf.export.options import VOLUMES
 from gazenerf.export.surface.densities import sample_density
-from gazenerf.heads.analytic import AnalyticField
+from gazenerf.heads.analytic import AnalyticField, AnalyticHead
 
 
 @pytest.fixture(scope="module")
@@ -63,8 +64,8 @@ def test_other_readers_agree_on_nrrd(grid, tmp_path, library):
 
 def test_the_volume_and_the_mesh_lie_in_one_place(tmp_path):
     bound = AnalyticField(sharpness=0.2)
-    settings = {"resolution": 40, "threshold": 100.0, "formats": ("ply",), "colours": False}
-    meshes = mesh_subject(bound, tmp_path, volumes=("npz", "vti"), **settings)
+    options = MeshOptions(resolution=40, threshold=100.0, formats=("ply",), colours=False, volumes=("npz", "vti"))
+    meshes = mesh_subject(AnalyticHead(lambda gaze: bound), tmp_path, options).parts
     assert sorted(path.name for path in tmp_path.glob("face.*")) == ["face.json", "face.npz", "face.ply", "face.vti"]
     for part, extracted in meshes.items():
         values, origin, spacing = loaded(tmp_path / f"{part}.npz")
@@ -72,7 +73,7 @@ def test_the_volume_and_the_mesh_lie_in_one_place(tmp_path):
         low, high = origin + spacing * solid.min(0), origin + spacing * solid.max(0)
         assert np.abs(low - 0.1 * extracted.mesh.bounds[0]).max() < spacing
         assert np.abs(high - 0.1 * extracted.mesh.bounds[1]).max() < spacing
-        assert extracted.volume.queries == extracted.volume.values.size
+        assert extracted.extracted.volume.queries == extracted.extracted.volume.values.size
 
 
 def test_unknown_formats_and_foreign_files_are_one_line(grid, tmp_path):

@@ -7,9 +7,9 @@ import pytest
 import trimesh
 
 from gazenerf.export.mesh import rays as raycast
-from gazenerf.export.mesh.face_distance import distance_in_face_crop, reference_mesh
+from gazenerf.export.mesh.face_distance import distance_in_face_crop
 from gazenerf.geometry import Gaze
-from gazenerf.head_model import load_head_model
+from gazenerf.head_model import ReferenceHead, load_head_model
 from gazenerf.head_model.interface import FACE
 from gazenerf.heads.analytic import AnalyticField
 from gazenerf.subjects import bundled_subjects, load_subject
@@ -33,7 +33,7 @@ def test_what_lies_outside_the_crop_is_not_measured(reference):
     ball = trimesh.creation.icosphere(2, radius=0.1)
     ball.apply_translation([9.0, 0.0, 0.0])
     assert np.isnan(distance_in_face_crop(ball, reference))
-    assert reference_mesh(AnalyticField()) is None
+    assert ReferenceHead.of(AnalyticField().subject) is None
 
 
 def test_both_libraries_measure_the_same_distance(monkeypatch):

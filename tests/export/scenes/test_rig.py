@@ -10,17 +10,20 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from gazenerf.errors import UserError
-from gazenerf.export import extract_part, mesh_subject
+from gazenerf.export import MeshOptions, extract_part, mesh_subject
 from gazenerf.export.appearance.eyeball_texture import directions_of, eyeball_mesh, textured_eyeball
 from gazenerf.export.formats.gltf import Animation, Node, glb
 from gazenerf.export.mesh.sphere_fit import fit_eyeballs, fit_sphere
 from gazenerf.export.scenes.rig import SWEEP, quaternion, rig
 from gazenerf.geometry import Gaze
-from gazenerf.heads.analytic import AnalyticField
+from gazenerf.heads.analytic import AnalyticField, AnalyticHead
 
 
 def bind(gaze: Gaze) -> AnalyticField:
     return AnalyticField(gaze, sharpness=0.2)
+
+
+HEAD = AnalyticHead(bind)
 
 
 def parsed(data: bytes) -> tuple[dict, bytes]:
@@ -34,8 +37,8 @@ def parsed(data: bytes) -> tuple[dict, bytes]:
 def parts() -> dict[str, trimesh.Trimesh]:
     bound = bind(Gaze())
     return {
-        "face": extract_part(bound, "face", resolution=32, threshold=100.0, colours=False).mesh,
-        "eyes": extract_part(bound, "eyes", resolution=96, threshold=100.0, colours=False).mesh,
+        "face": extract_part(bound, "face", MeshOptions(resolution=32, threshold=100.0, colours=False)).mesh,
+        "eyes": extract_part(bound, "eyes", MeshOptions(resolution=96, threshold=100.0, colours=False)).mesh,
     }
 
 
@@ -81,7 +84,7 @@ def test_eyeball_is_a_closed_sphere_whose_texture_has_one_place_for_each_point()
 @pytest.mark.parametrize("gazes", [[(0.0, 0.0)], [(0.0, 25.0), (15.0, 0.0)]])
 def test_eyeball_has_its_iris_at_the_pole_whatever_gazes_coloured_it(parts, gazes):
     eye = fit_eyeballs(parts["eyes"])[0]
-    ball = textured_eyeball(bind, eye, gazes)
+    ball = textured_eyeball(HEAD, eye, gazes)
     place = np.minimum((ball.uv * len(ball.image)).astype(int), len(ball.image) - 1)
     colours = ball.image[place[:, 1], place[:, 0], 0].astype(float)
     look = np.asarray(ball.mesh.vertices)[:, 2] / eye.radius
@@ -92,7 +95,7 @@ def test_eyeball_has_its_iris_at_the_pole_whatever_gazes_coloured_it(parts, gaze
 
 def test_rig_turns_each_eye_about_its_centre(parts, tmp_path):
     gaze = Gaze.from_degrees(10.0, 20.0)
-    scene = rig(bind, gaze, parts["face"], parts["eyes"])
+    scene = rig(HEAD, gaze, parts["face"], parts["eyes"])
     data, facts = glb(scene.root, scene.clips), scene.facts
     tree, binary = parsed(data)
     nodes = {node["name"]: node for node in tree["nodes"]}
@@ -138,14 +141,14 @@ def test_a_clip_must_name_nodes_that_exist(parts):
 
 
 def test_rig_is_written_with_the_meshes_or_refused(tmp_path):
-    bound = bind(Gaze())
     with pytest.raises(UserError, match="--parts face eyes"):
-        mesh_subject(bound, tmp_path / "a", parts=("eyes",), bind=bind)
-    settings = {"resolution": 40, "threshold": 100.0, "formats": ("ply",), "colours": False, "bind": bind}
-    mesh_subject(bound, tmp_path / "b", **settings)
+        mesh_subject(HEAD, tmp_path / "a", MeshOptions(parts=("eyes",), rig=True))
+    options = MeshOptions(resolution=40, threshold=100.0, formats=("ply",), colours=False, rig=True)
+    made = mesh_subject(HEAD, tmp_path / "b", options)
+    assert made.scenes["rig"].facts == json.loads((tmp_path / "b" / "rig.json").read_text())
     written = sorted(path.name for path in (tmp_path / "b").iterdir())
     assert written == ["eyes.json", "eyes.ply", "face.json", "face.ply", "rig.glb", "rig.json"]
     about = json.loads((tmp_path / "b" / "rig.json").read_text())
     assert about["units"] == "metres" and about["eye_right"]["centre_metres"][0] < 0
     with pytest.raises(UserError, match="--overwrite"):
-        mesh_subject(bound, tmp_path / "b", **settings)
+        mesh_subject(HEAD, tmp_path / "b", options)

@@ -10,12 +10,12 @@ import torch
 import trimesh
 
 from gazenerf.errors import UserError
-from gazenerf.export import extract_part, mesh_subject
+from gazenerf.export import MeshOptions, extract_part, mesh_subject
 from gazenerf.export.formats.gltf import glb
 from gazenerf.export.scenes.rig import quaternion, rig
 from gazenerf.export.scenes.sequence import FPS, face_morphs, sequence_scene
 from gazenerf.geometry import Gaze
-from gazenerf.heads.analytic import AnalyticField
+from gazenerf.heads.analytic import AnalyticField, AnalyticHead
 
 LEVEL = 100.0
 GAZES = [Gaze.from_degrees(*angles) for angles in ((0, 0), (0, 20), (10, 0))]
@@ -34,22 +34,28 @@ class Lids(AnalyticField):
         return super().density(points / (1.0 + amount), part)
 
 
+HEAD = AnalyticHead(Lids)
+
+
 @pytest.fixture(scope="module")
 def parts():
     bound = Lids(Gaze())
-    return {part: extract_part(bound, part, resolution=64, threshold=LEVEL, colours=False) for part in ("face", "eyes")}
+    return {
+        part: extract_part(bound, part, MeshOptions(resolution=64, threshold=LEVEL, colours=False))
+        for part in ("face", "eyes")
+    }
 
 
 @pytest.fixture(scope="module")
 def scene(parts):
-    return rig(Lids, Gaze(), parts["face"].mesh, parts["eyes"].mesh)
+    return rig(HEAD, Gaze(), parts["face"].mesh, parts["eyes"].mesh)
 
 
 @pytest.fixture(scope="module")
 def moved(scene):
     """The rig's face with its vertices on the true surface, and its morphs."""
-    face = extract_part(Lids(Gaze()), "face", resolution=96, threshold=LEVEL, colours=False).mesh
-    return face, *face_morphs(Lids, Gaze(), GAZES, face, scene.eyeballs, LEVEL)
+    face = extract_part(Lids(Gaze()), "face", MeshOptions(resolution=96, threshold=LEVEL, colours=False)).mesh
+    return face, *face_morphs(HEAD, Gaze(), GAZES, face, scene.eyeballs, LEVEL)
 
 
 def test_the_face_goes_to_the_surface_of_each_gaze_about_the_eyes_and_nowhere_else(moved, scene):
@@ -74,12 +80,12 @@ def test_vertices_doubled_along_seams_stay_together(moved, scene):
         vertex_normals=face.vertex_normals[face.faces].reshape(-1, 3),
         process=False,
     )
-    morphs, _ = face_morphs(Lids, Gaze(), GAZES[2:], cut, scene.eyeballs, LEVEL)
+    morphs, _ = face_morphs(HEAD, Gaze(), GAZES[2:], cut, scene.eyeballs, LEVEL)
     assert np.allclose(morphs[0].offsets, moved[1][2].offsets[face.faces].reshape(-1, 3), atol=1e-9)
 
 
 def test_the_file_holds_turning_eyes_and_a_following_face(parts, scene):
-    made = sequence_scene(Lids, Gaze(), scene, GAZES, parts["face"].mesh, LEVEL)
+    made = sequence_scene(HEAD, Gaze(), scene, GAZES, parts["face"].mesh, LEVEL)
     data = glb(made.root, made.clips)
     size = int.from_bytes(data[12:16], "little")
     tree, binary = json.loads(data[20 : 20 + size]), data[28 + size :]
@@ -117,13 +123,14 @@ def test_the_file_holds_turning_eyes_and_a_following_face(parts, scene):
 
 
 def test_a_sequence_is_written_as_one_file_or_as_numbered_ones(tmp_path):
-    settings = {"resolution": 40, "threshold": LEVEL, "formats": ("ply",), "colours": False, "bind": Lids}
-    mesh_subject(Lids(Gaze()), tmp_path, sequence=GAZES[1:], **settings)
+    options = MeshOptions(resolution=40, threshold=LEVEL, formats=("ply",), colours=False)
+    mesh_subject(HEAD, tmp_path, options, sequence=GAZES[1:])
     assert {"sequence.glb", "sequence.json", "rig.glb"} <= {path.name for path in tmp_path.iterdir()}
     with pytest.raises(UserError, match="--overwrite"):
-        mesh_subject(Lids(Gaze()), tmp_path, sequence=GAZES[1:], **settings)
+        mesh_subject(HEAD, tmp_path, options, sequence=GAZES[1:])
     out = tmp_path / "numbered"
-    mesh_subject(Lids(Gaze()), out, sequence=GAZES[1:], numbered=True, **settings)
+    made = mesh_subject(HEAD, out, options, sequence=GAZES[1:], numbered=True)
+    assert [path.name for path in made.numbered] == ["0000", "0001"]
     assert sorted(path.name for path in (out / "sequence").iterdir()) == ["0000", "0001"]
     about = json.loads((out / "sequence" / "0001" / "face.json").read_text())
     assert about["gaze_pitch_yaw_degrees"] == pytest.approx([10.0, 0.0])
@@ -134,9 +141,9 @@ def test_a_sequence_is_written_as_one_file_or_as_numbered_ones(tmp_path):
 
 def test_impossible_sequences_are_one_line(tmp_path):
     with pytest.raises(UserError, match="2 to 240"):
-        mesh_subject(Lids(Gaze()), tmp_path / "a", bind=Lids, sequence=GAZES[:1])
+        mesh_subject(HEAD, tmp_path / "a", sequence=GAZES[:1])
     with pytest.raises(UserError, match="isosurface"):
-        settings = {"surface": "tsdf", "resolution": 32, "colours": False, "formats": ("ply",)}
+        options = MeshOptions(surface="tsdf", resolution=32, colours=False, formats=("ply",))
         pytest.importorskip("open3d", reason="open3d cannot be loaded", exc_type=ImportError)
-        mesh_subject(Lids(Gaze()), tmp_path / "b", bind=Lids, sequence=GAZES, **settings)
+        mesh_subject(HEAD, tmp_path / "b", options, sequence=GAZES)
     assert not (tmp_path / "a").exists() and not (tmp_path / "b").exists()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from gazenerf.export.surface.normals import density_normals
+from gazenerf.export.surface.normals import surface_normals
 from gazenerf.heads.analytic import AnalyticField
 
 
@@ -20,7 +20,7 @@ def test_normals_are_minus_the_gradient_that_automatic_differentiation_finds():
     assert leaves.grad is not None
     exact = -leaves.grad.numpy().astype(np.float64)
     exact /= np.linalg.norm(exact, axis=1, keepdims=True)
-    found = density_normals(bound, points, "face", 0.005, directions)
+    found = surface_normals(bound, points, "face", 0.005, directions)
     assert np.rad2deg(np.arccos(np.clip((found * exact).sum(1), -1, 1))).max() < 1.0
     assert np.allclose(np.linalg.norm(found, axis=1), 1.0)
 
@@ -28,6 +28,6 @@ def test_normals_are_minus_the_gradient_that_automatic_differentiation_finds():
 def test_flat_and_contrary_densities_fall_back():
     bound = AnalyticField(sharpness=0.2)
     far, up = np.array([[5.0, 5.0, 5.0]]), np.array([[0.0, 1.0, 0.0]])
-    assert np.array_equal(density_normals(bound, far, "face", 0.005, up), up)
+    assert np.array_equal(surface_normals(bound, far, "face", 0.005, up), up)
     top = bound.face.centre + np.array([[0.0, bound.face.radii[1], 0.0]])
-    assert np.array_equal(density_normals(bound, top, "face", 0.005, -up), -up)
+    assert np.array_equal(surface_normals(bound, top, "face", 0.005, -up), -up)

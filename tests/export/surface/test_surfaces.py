@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from gazenerf.errors import UserError
-from gazenerf.export import extract_part, mesh_subject
-from gazenerf.heads.analytic import AnalyticField
+from gazenerf.export import MeshOptions, extract_part, mesh_subject
+from gazenerf.heads.analytic import AnalyticField, AnalyticHead
 
 BOUND = AnalyticField(sharpness=0.1)
 
@@ -37,7 +37,7 @@ def open3d():
 @pytest.mark.parametrize("part", ["face", "eyes"])
 @pytest.mark.parametrize(("surface", "bias"), [("tsdf", 0.25), ("poisson", 0.02)])
 def test_fused_surfaces_are_the_true_ones(open3d, part, surface, bias):
-    extracted = extract_part(BOUND, part, resolution=64, surface=surface, colours=False)
+    extracted = extract_part(BOUND, part, MeshOptions(resolution=64, surface=surface, colours=False))
     away = distances(extracted) / extracted.spacing
     assert away.max() < 1.0 and away.mean() < bias
     assert extracted.mesh.is_watertight and extracted.mesh.volume > 0
@@ -47,8 +47,8 @@ def test_fused_surfaces_are_the_true_ones(open3d, part, surface, bias):
 
 
 def test_a_fused_surface_is_written_without_a_threshold(open3d, tmp_path):
-    settings = {"resolution": 32, "colours": False, "formats": ("ply",), "parts": ("face",), "volumes": ("npz",)}
-    mesh_subject(BOUND, tmp_path, surface="poisson", **settings)
+    settings: dict = {"resolution": 32, "colours": False, "formats": ("ply",), "parts": ("face",), "volumes": ("npz",)}
+    mesh_subject(AnalyticHead(lambda gaze: BOUND), tmp_path, MeshOptions(surface="poisson", **settings))
     about = json.loads((tmp_path / "face.json").read_text())
     assert about["threshold_per_world_unit"] is None and "Poisson" in about["steps"][0]
     assert (tmp_path / "face.npz").exists()
@@ -57,14 +57,14 @@ def test_a_fused_surface_is_written_without_a_threshold(open3d, tmp_path):
 def test_without_open3d_the_fix_is_named_and_isosurfaces_go_on(monkeypatch):
     monkeypatch.setitem(sys.modules, "open3d", None)
     with pytest.raises(UserError, match="pip install open3d"):
-        extract_part(BOUND, "face", resolution=32, surface="tsdf", colours=False)
-    assert len(extract_part(BOUND, "face", resolution=32, threshold=100.0, colours=False).mesh.faces)
+        extract_part(BOUND, "face", MeshOptions(resolution=32, surface="tsdf", colours=False))
+    assert len(extract_part(BOUND, "face", MeshOptions(resolution=32, threshold=100.0, colours=False)).mesh.faces)
 
 
 def test_nothing_to_see_is_one_line(open3d):
     bound = AnalyticField()
     bound.box = np.array([[3.0, 3.0, 3.0], [4.0, 4.0, 4.0]])
     with pytest.raises(UserError, match="misses the head"):
-        extract_part(bound, "face", resolution=32, surface="tsdf", colours=False)
+        extract_part(bound, "face", MeshOptions(resolution=32, surface="tsdf", colours=False))
     with pytest.raises(UserError, match="isosurface, tsdf, poisson"):
-        extract_part(bound, "face", surface="splats")
+        extract_part(bound, "face", MeshOptions(surface="splats"))
