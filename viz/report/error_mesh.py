@@ -96,7 +96,7 @@ def error_mesh(
     import trimesh
 
     surface = density_surface(
-        bound, "head", resolution=resolution, threshold=threshold, method=METHODS[0], tell=progress
+        bound, "head", resolution=resolution, threshold=threshold, method=METHODS[0], progress=progress
     )
     field = surface.mesh
     reference = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
