@@ -89,6 +89,8 @@ def _shape(hint: Any, option: Option) -> dict[str, Any]:
             inner = typing.get_args(inner)[0]
         else:
             shape["nargs"] = "+"
+    if typing.get_origin(inner) is typing.Literal:
+        inner = type(typing.get_args(inner)[0])
     if inner is not str:
         shape["type"] = inner
     return shape

@@ -83,12 +83,6 @@ class TwoStreamField(nn.Module):
         """Changes whenever a weight does; what is derived from weights is kept under it."""
         return hash(tuple((value.data_ptr(), value._version) for value in self.parameters()))
 
-    def bind(self, subject: Any, gaze: Any, **options: Any) -> Any:
-        """For callers that have not moved to `Head` yet."""
-        from gazenerf.heads.head import Head
-
-        return Head(self, subject, **options).at(gaze)
-
     def published_forward(
         self,
         shape_code: torch.Tensor,

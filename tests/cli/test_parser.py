@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import pytest
 
@@ -23,6 +24,7 @@ class Sample:
     pair: tuple[float, float] = option((0.0, 0.0), "two numbers", metavar=("A", "B"), group="pairs")
     pairs: tuple[tuple[float, float], ...] = option((), "two numbers, repeated", metavar=("A", "B"), group="pairs")
     formats: tuple[str, ...] = option(("glb", "ply"), "words")
+    parts: tuple[Literal["face", "eyes"], ...] = option(("face",), "words of a few")
     labels: bool = option(True, "no labels", flag="--no-labels")
     force: bool = option(False, "force")
     rig: bool | None = option(None, "a rig", off=("--no-rig", "no rig"))
@@ -39,7 +41,7 @@ def parse(*typed: str) -> argparse.Namespace:
 
 EVERYTHING = [
     "--out", "d", "--name", "y", "--count", "3", "--pair", "1", "-2.5", "--pairs", "1", "2", "--pairs", "3", "4",
-    "--formats", "obj", "stl", "--no-labels", "--force", "--no-rig", "--kind", "b", "--left", "1",
+    "--formats", "obj", "stl", "--parts", "eyes", "--no-labels", "--force", "--no-rig", "--kind", "b", "--left", "1",
 ]  # fmt: skip
 
 
@@ -52,7 +54,7 @@ def test_every_kind_of_option_is_typed_and_typed_back() -> None:
     found = parsed(Sample, parse(*EVERYTHING))
     assert found == Sample(
         out=Path("d"), name="y", count=3, pair=(1.0, -2.5), pairs=((1.0, 2.0), (3.0, 4.0)), formats=("obj", "stl"),
-        labels=False, force=True, rig=False, kind="b", left=1,
+        parts=("eyes",), labels=False, force=True, rig=False, kind="b", left=1,
     )  # fmt: skip
     assert words(found) == EVERYTHING
     assert parsed(Sample, parse(*words(found))) == found

@@ -9,7 +9,6 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from gazenerf.checkpoints import load_field
 from gazenerf.export.mesh.cleaning import keep_largest
 from gazenerf.export.surface import refine
 from gazenerf.export.surface.densities import DensityGrid, sample_density
@@ -18,7 +17,7 @@ from gazenerf.export.surface.refine import refine_density
 from gazenerf.geometry import Gaze
 from gazenerf.heads.analytic import AnalyticField
 from gazenerf.heads.interface import Part
-from gazenerf.subjects import bundled_subjects, load_subject
+from gazenerf.loading import load
 
 BOX = np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
 
@@ -184,7 +183,7 @@ def test_cost_grows_with_the_surface_and_not_with_the_volume():
 
 @pytest.mark.parametrize(("part", "level"), [("face", 48.0), ("eyes", 20.0)])
 def test_the_bundled_head_comes_out_as_from_the_dense_grid(part, level):
-    bound = load_field(None).bind(load_subject(next(iter(bundled_subjects()))), Gaze.from_degrees(5.0, -10.0))
+    bound = load().at(Gaze.from_degrees(5.0, -10.0))
     box = np.array([[-0.6, -0.5, 0.4], [0.2, 0.3, 1.2]])
     dense = sample_density(bound, part, box, 56)
     refined = refine_density(bound, part, box, 56, (level, level), factor=4)
