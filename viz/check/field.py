@@ -117,15 +117,10 @@ def check_subject(
         if options.orbit:
             orbit = measure_orbit(bound, options.pixels, sfm=options.sfm, seed=options.seed, run=run)
     between = _between(checked, references, scale)
-    values = (
-        of_views([view.agreement for view in checked], [view.blemish_mm2 for view in checked])
-        | of_renderers(between)
-        | of_surfaces(surfaces, errors)
-        | of_pairs(streams)
-        | of_drift(drift, streams)
-        | ({} if eyes is None else of_eyes(eyes, scale))
-        | ({} if orbit is None else of_pictures(orbit.tsed, orbit.motion, options.seed))
-    )
+    values = of_views([view.agreement for view in checked], [view.blemish_mm2 for view in checked])
+    values |= of_renderers(between) | of_surfaces(surfaces, errors) | of_pairs(streams) | of_drift(drift, streams)
+    values |= {} if eyes is None else of_eyes(eyes, scale)
+    values |= {} if orbit is None else of_pictures(orbit.tsed, orbit.motion, options.seed)
     return CheckResult(
         metrics=measured(CHECK_DEFINITIONS, values, reference_readings(between)),
         views=tuple(sorted(checked, key=lambda v: -np.nan_to_num(v.agreement.depth_median_mm, nan=np.inf))),
@@ -161,7 +156,7 @@ class _Steps:
             yield item
 
     def mapped(self, executor: Executor) -> Map:
-        """The executor's `map`, a step per item."""
+        """The executor's `map`, with one step per item."""
 
         def run(do: Callable[[S], T], items: Iterable[S], /) -> Iterator[T]:
             return self.counted(executor.map(do, items))
@@ -247,7 +242,7 @@ def _between(
 
 
 def _left_out(eyes: EyeSweep | None, orbit: OrbitPictures | None) -> list[str]:
-    """Sentences on what was not measured because nobody asked for it."""
+    """Sentences on what the options left out, or what could not be measured."""
     notes = []
     if eyes is None:
         notes.append("The eyes were looked at with one gaze, so their metrics over a gaze grid are not measured.")

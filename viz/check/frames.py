@@ -1,6 +1,6 @@
-"""Somebody else's pictures with their cameras: a folder with a transforms.json as nerfstudio and instant-ngp write it.
+"""Pictures of any method with their cameras: a folder with a transforms.json as nerfstudio and instant-ngp write it.
 
-The files are strangers': every size is looked at before anything is read, and no path leads out of the folder.
+The files are untrusted: every size is checked before anything is read, and no path leads out of the folder.
 """
 
 from __future__ import annotations
@@ -83,12 +83,12 @@ class FrameFolder:
 
     @property
     def cameras(self) -> list[Camera]:
-        """One a frame."""
+        """One per frame."""
         return [frame.camera for frame in self.frames]
 
     @property
     def images(self) -> list[np.ndarray]:
-        """One a frame."""
+        """One per frame."""
         return [frame.image for frame in self.frames]
 
 
@@ -141,20 +141,35 @@ def read_frames(folder: str | Path, *, most: int = MOST_FRAMES, longest_px: int 
             z = None if curved else _depth_z(root, entry, image.shape[:2])
             lost_depth += z is None
         frames.append(_reduced(name, camera, image, z, longest_px))
+    notes = _notes(len(chosen), len(listed), sizes[0], frames[0], longest_px, bent, lost_depth)
+    return FrameFolder(tuple(frames), len(listed), notes)
+
+
+def _notes(
+    used: int, listed: int, size: tuple[int, int], first: Frame, longest_px: int, bent: bool, lost_depth: int
+) -> tuple[str, ...]:
+    """What was changed or left out, as sentences.
+
+    Args:
+        used, listed: Frames.
+        size: Width and height of the pictures as they are stored.
+        first: A frame as it is used.
+        longest_px: Longest side of the pictures used.
+        bent: Whether any picture was distorted.
+        lost_depth: Depth files that were of no use.
+    """
     notes = []
-    if len(chosen) < len(listed):
-        notes.append(f"{len(chosen)} of {len(listed)} frames were used, evenly spread.")
+    if used < listed:
+        notes.append(f"{used} of {listed} frames were used, evenly spread.")
     if bent:
-        notes.append(
-            "Lens distortion was taken out of the pictures, not of the depth, which is not used where there is."
-        )
-    if max(sizes[0]) > longest_px:
-        notes.append("Pictures of {}x{} were reduced to {}x{}.".format(*sizes[0], *frames[0].image.shape[1::-1]))
+        notes.append("Lens distortion was removed from the pictures; depth files of distorted pictures were not used.")
+    if max(size) > longest_px:
+        notes.append("Pictures of {}x{} were reduced to {}x{}.".format(*size, *first.image.shape[1::-1]))
     if lost_depth:
         notes.append(
-            f"{lost_depth} of {len(chosen)} depth files are missing, unreadable or of another size than the pictures."
+            f"{lost_depth} of {used} depth files are missing, unreadable or of another size than the pictures."
         )
-    return FrameFolder(tuple(frames), len(listed), tuple(notes))
+    return tuple(notes)
 
 
 def _read_json(path: Path) -> dict[str, Any]:

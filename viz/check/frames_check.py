@@ -127,15 +127,7 @@ def check_frames(
     if not tsed.pairs:
         unmeasured["TSED"] = "no two frames look the same way from different places"
     tell(1)
-    motion = None
-    if not sfm:
-        unmeasured["structure from motion"] = "not asked for"
-    elif (reason := unavailable()) is not None:
-        unmeasured["structure from motion"] = reason
-    else:
-        motion = run_colmap(images, cameras, seed=seed)
-        if motion.reason:
-            unmeasured["structure from motion"] = motion.reason
+    motion = _structure_from_motion(folder, sfm, seed, unmeasured)
     tell(2)
     carried = warp_frames(frames)
     if carried.obstacle:
@@ -161,6 +153,18 @@ def check_frames(
         notes=folder.notes,
         about=_about(folder, name, tsed, motion, seed),
     )
+
+
+def _structure_from_motion(
+    folder: FrameFolder, wanted: bool, seed: int, unmeasured: dict[str, str]
+) -> StructureFromMotion | None:
+    """What COLMAP makes of the pictures, None where it does not run; the reason is added to `unmeasured`."""
+    reason = unavailable() if wanted else "not asked for"
+    motion = None if reason is not None else run_colmap(folder.images, folder.cameras, seed=seed)
+    reason = reason or (motion.reason if motion is not None else "")
+    if reason:
+        unmeasured["structure from motion"] = reason
+    return motion
 
 
 def _about(folder: FrameFolder, name: str, tsed: Tsed, motion: StructureFromMotion | None, seed: int) -> dict[str, Any]:

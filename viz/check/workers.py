@@ -1,7 +1,7 @@
-"""Both cores at once: single-threaded torch in as many threads as there are cores.
+"""All cores at once: single-threaded torch in as many threads as there are cores.
 
-Torch lets go of the interpreter while it multiplies, so threads share the field in memory, and one
-thread a view is faster than all threads inside one multiplication after another.
+Torch releases the interpreter while it computes, so threads can share one field in memory; one thread per
+view is faster than several threads inside each matrix product.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How far two opinions about the same views are apart (definitions: docs/consistency.md)."""
+"""Depth, silhouette and normals of a view against those of a reference from the same camera."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SHAPE_ADVICE = (
 )
 _RENDERER_ADVICE = (
     "The reference itself is in doubt, so do not trust the comparisons with it: choose one renderer with --reference "
-    "and report the machine's graphics driver."
+    "and update the graphics driver if pyrender is the odd one out."
 )
 
 DEFINITIONS = (

@@ -115,7 +115,7 @@ def run_colmap(
 
     Args:
         images: (H, W, 3) sRGB, uint8 or in [0, 1].
-        cameras: One a picture; their intrinsics are given to COLMAP, their poses are not.
+        cameras: One per picture; their intrinsics are given to COLMAP, their poses are not.
         seed: Of COLMAP's random choices.
         timeout_s: The process is ended after this many seconds.
     """

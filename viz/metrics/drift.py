@@ -182,7 +182,8 @@ def picture_silhouette(image: np.ndarray, background: np.ndarray, tolerance: flo
 def outline_shift(mask: np.ndarray, reference: np.ndarray) -> tuple[float, float]:
     """(x, y) pixels by which a mask's outline lies right of and below a reference's, NaN when either is empty.
 
-    Both are blurred alike and registered, growth told apart; the outline at the picture's border is left out.
+    Both are blurred alike and registered so that growth is not taken for a shift; the outline at the picture's
+    border is left out.
     """
     if mask.sum() < MIN_PIXELS or reference.sum() < MIN_PIXELS:
         return float("nan"), float("nan")

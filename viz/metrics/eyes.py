@@ -122,8 +122,8 @@ DEFINITIONS = (
         "eye_distance_mm", "distance between the eyes, off the reference", "mm",
         "By how much the distance between both eyeballs differs from the head model's.",
         1.0, 2.0, False, OVER_GAZES,
-        "The eyes stand too close or too far apart, so both cannot meet one target: fit the head model again or use "
-        "the fitted centres.",
+        "The eyes stand closer together or farther apart than the head model's, which biases the gaze measured by the "
+        "iris: fit the head model to the person again.",
         NOT_NEGATIVE, "Median over gazes of the distance between both centres, less the head model's; absolute.",
         finding=Finding(0.2, 2),
     ),
@@ -244,7 +244,7 @@ def sweep_eyes(head: HeadField, reference: Reference, gazes: Sequence[Gaze], siz
         reference: Tells where eyeballs and lids are.
         gazes: The first is what the others are compared with.
         size: Of the pictures, pixels.
-        run: How gazes are worked through.
+        run: How gazes are mapped.
 
     Raises:
         UserError: no gazes, or the eyes lie outside the pictures.

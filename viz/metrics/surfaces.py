@@ -140,8 +140,8 @@ DEFINITIONS = (
         "eye_centre_mm", "eyeball centre, the worse eye", "mm",
         "How far the centre of an eyeball lies from the head model's, for the eye that is worse.",
         1.0, 2.0, False, FRAME_AND_EYES,
-        "A rig that turns the eyes about the head model's centres will show gaps at the lids, and the measured gaze is "
-        "biased: fit the head model again or use the fitted centres.",
+        "The eyes sit elsewhere than in the head model, so the lids will not fit them and the gaze measured by the "
+        "iris is biased: fit the head model to the person again.",
         NOT_NEGATIVE,
         "Distance between centres of spheres of the head model's eyeball radius, fitted to the field's and to the "
         "reference's points where the reference shows an eye; the worse eye.",

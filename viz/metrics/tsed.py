@@ -33,7 +33,7 @@ NEAR_DEGREES = 30.0
 CAMERAS = "Pictures against their cameras"
 
 _TSED_ADVICE = (
-    "The pictures do not show one scene from the given cameras: look at the matches drawn in red and at the pairs with "
+    "The pictures do not show one scene from the given cameras: look at the pairs with the largest distances and with "
     "few matches, and check the cameras first."
 )
 _SHARES = (0.9, 0.7), (0.95, 0.8), (0.98, 0.9)
@@ -113,7 +113,7 @@ class Tsed:
 
     @property
     def median_matches(self) -> float:
-        """Median number of matches a pair, NaN without a pair."""
+        """Median number of matches per pair, NaN without a pair."""
         return float(np.median([pair.matches for pair in self.pairs])) if self.pairs else math.nan
 
     @property
@@ -182,7 +182,7 @@ def measure_tsed(
 
     Args:
         images: (H, W, 3) sRGB, uint8 or in [0, 1], of the cameras.
-        cameras: One a picture.
+        cameras: One per picture.
         pairs: Indices; `neighbours` of the cameras by default.
 
     Raises:
