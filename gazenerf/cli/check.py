@@ -14,6 +14,9 @@ from gazenerf.options import option
 from gazenerf.viz.check.options import CheckOptions, parse_limits
 
 if TYPE_CHECKING:
+    from gazenerf.heads import Head
+    from gazenerf.progress import Progress
+    from gazenerf.viz.check.result import CheckResult
     from gazenerf.viz.metrics.definitions import Metric
 
 HELP = "measure whether a field, or a folder of frames, is one consistent 3D head"
@@ -72,27 +75,44 @@ def run(options: Options) -> int:
     return _check_field(options) if options.frames is None else _check_frames(options, options.frames)
 
 
-def _check_field(options: Options) -> int:
-    from gazenerf.cli.common import showing_progress, summary_table, warn
-    from gazenerf.viz.check.field import check_subject, reference_of, swept_gazes
-    from gazenerf.viz.metrics.families import CHECK_DEFINITIONS
+def measure(options: Options, head: Head, progress: Progress) -> tuple[CheckResult, dict[str, Path]]:
+    """Check a head and write its report.
+
+    Returns:
+        What was found, and kind to file.
+    """
+    from gazenerf.viz.check.field import check_subject, reference_of
     from gazenerf.viz.report.error_mesh import FILE, error_mesh
     from gazenerf.viz.report.write import NUMBERS, REPORT, write_report
 
     out, gaze = options.place(REPORT, NUMBERS, FILE), options.checked_gaze()
+    reference, bound = reference_of(head.subject), head.at(gaze)
+    result = check_subject(head, reference, options, gaze=gaze, progress=progress)
+    error = error_mesh(bound, reference.at(gaze), progress=progress) if options.error_mesh else None
+    page, numbers = write_report(result, out, error=error, bound=bound)
+    files = {"report": page, "numbers": numbers}
+    return result, files if error is None else files | {"error mesh": out / FILE}
+
+
+def _check_field(options: Options) -> int:
+    from gazenerf.cli.common import showing_progress, summary_table, warn
+    from gazenerf.viz.check.field import reference_of, swept_gazes
+    from gazenerf.viz.metrics.families import CHECK_DEFINITIONS
+    from gazenerf.viz.report.error_mesh import FILE
+    from gazenerf.viz.report.write import NUMBERS, REPORT
+
+    options.place(REPORT, NUMBERS, FILE)
+    gaze = options.checked_gaze()
     options.refuse_impossible()
     parse_limits(options.fail_on, CHECK_DEFINITIONS)
     head = options.load()
-    reference, bound = reference_of(head.subject), head.at(gaze)
+    reference_of(head.subject)
     if beyond := head.check(swept_gazes(gaze, options)):
         warn(str(beyond))
     with showing_progress() as progress:
-        result = check_subject(head, reference, options, gaze=gaze, progress=progress)
-        error = error_mesh(bound, reference.at(gaze), progress=progress) if options.error_mesh else None
-    page, numbers = write_report(result, out, error=error, bound=bound)
+        result, files = measure(options, head, progress)
     crossed = result.crossed(options.fail_on)
-    rows: dict[str, object] = {"report": page, "numbers": numbers}
-    rows |= {} if error is None else {"error mesh": out / FILE}
+    rows: dict[str, object] = dict(files)
     rows |= _metric_rows(result.metrics)
     rows |= {f"{name} could not start": fix for name, fix in result.missing.items()}
     summary_table(f"check of {head.subject.name}", rows | _last_rows(result.notes, crossed))

@@ -1,47 +1,66 @@
-"""`gazenerf demo`: the main commands, one after another, on one subject."""
+"""`gazenerf demo`: the main jobs, one after another, on one subject."""
 
 from __future__ import annotations
 
-import argparse
-import contextlib
-import io
 import json
 import shlex
 import sys
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from gazenerf.cli import check, mesh, orbit, sheet
+from gazenerf.cli.arguments import SourceArguments
+from gazenerf.cli.libraries import MissingLibrary, naming_missing_libraries
+from gazenerf.cli.parser import words
 from gazenerf.errors import UserError
+from gazenerf.heads import Head
+from gazenerf.options import option
+from gazenerf.progress import Progress
 
 HELP = "orbit, gaze grid, meshes and check of the bundled subject in one folder"
 
 RECORD = "demo.json"
 
+Measured = dict[str, str]
+"""Name to value, as the closing table shows it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(SourceArguments):
+    """What the command takes.
+
+    Attributes:
+        out: Folder for everything.
+        quick: Fewer frames, coarser meshes, fewer views.
+        overwrite: Replace an earlier demo.
+    """
+
+    out: Path = option(help="folder for everything", metavar="DIR")
+    quick: bool = option(False, "fewer frames, coarser meshes, fewer views")
+    overwrite: bool = option(False, "replace an earlier demo at --out")
+
 
 @dataclass(frozen=True)
 class Stage:
-    """One command of the demo.
+    """One job of the demo.
 
     Attributes:
-        words: The command and its arguments, without the program's name.
-        measured: Reads what the command measured from the files it wrote.
+        name: The command that does it alone.
+        options: Of that command.
+        make: Does it for a head; what was measured, and whether a threshold failed.
     """
 
-    words: list[str]
-    measured: Callable[[], dict[str, str]]
-
-    @property
-    def name(self) -> str:
-        """The command."""
-        return self.words[0]
+    name: str
+    options: Any
+    make: Callable[[Any, Head, Progress], tuple[Measured, bool]]
 
     @property
     def line(self) -> str:
         """What a user would type."""
-        return shlex.join(["gazenerf", *self.words])
+        return shlex.join(["gazenerf", self.name, *words(self.options)])
 
 
 @dataclass
@@ -58,41 +77,31 @@ class Outcome:
 
     code: int | None
     seconds: float
-    measured: dict[str, str] = field(default_factory=dict)
+    measured: Measured = field(default_factory=dict)
     left_out: str = ""
     excused: bool = False
 
 
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Add the command's arguments."""
-    from gazenerf.cli.common import add_source_arguments
-
-    add_source_arguments(parser)
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for everything")
-    parser.add_argument("--quick", action="store_true", help="fewer frames, coarser meshes, fewer views")
-    parser.add_argument("--overwrite", action="store_true", help="replace an earlier demo at --out")
-
-
-def run(args: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """Run the stages, go on past one that lacks a system library, and print files and numbers.
 
     Returns:
-        0; 1 when a command found a threshold failed; 2 when a stage failed for want of anything but
-        a system library.
+        0; 1 when a threshold failed; 2 when a stage failed for want of anything but a system library.
     """
-    if (args.out / RECORD).exists() and not args.overwrite:
-        raise UserError(f"{args.out} holds an earlier demo; add --overwrite or choose another --out")
-    _check_writable(args.out)
+    if (options.out / RECORD).exists() and not options.overwrite:
+        raise UserError(f"{options.out} holds an earlier demo; add --overwrite or choose another --out")
+    _check_writable(options.out)
     started = time.perf_counter()
+    head = options.load()
     outcomes: dict[str, Outcome] = {}
-    plan = stages(args.out, source_words(args), args.quick)
+    plan = stages(options)
     for number, stage in enumerate(plan, 1):
         print(f"[{number}/{len(plan)}] {stage.line}", flush=True)
-        outcomes[stage.name] = outcome = run_stage(stage)
+        outcomes[stage.name] = outcome = run_stage(stage, head)
         if outcome.left_out:
             print(f"gazenerf: warning: {stage.name} left out: {outcome.left_out}", file=sys.stderr)
     seconds = time.perf_counter() - started
-    _finish(args.out, plan, outcomes, seconds)
+    _finish(options.out, plan, outcomes, seconds)
     if any(outcome.left_out and not outcome.excused for outcome in outcomes.values()):
         return 2
     return max(outcome.code or 0 for outcome in outcomes.values())
@@ -105,64 +114,74 @@ def _check_writable(out: Path) -> None:
         pass
 
 
-def source_words(args: argparse.Namespace) -> list[str]:
-    """--subject and --checkpoint as they were given."""
-    words = []
-    for option in ("subject", "checkpoint"):
-        if (value := getattr(args, option)) is not None:
-            words += [f"--{option}", str(value)]
-    return words
-
-
-def stages(out: Path, source: list[str], quick: bool) -> list[Stage]:
-    """The commands of the demo.
-
-    Args:
-        out: Folder for everything.
-        source: Arguments that choose subject and weights.
-        quick: Fewer frames, coarser meshes, fewer views.
-    """
-    frames, resolution = ("24", "96") if quick else ("90", "160")
-    fewer = ["--views", "3", "--gazes", "1", "--size", "128", "--no-error-mesh"] if quick else []
-    orbit, grid, meshes, check = out / "orbit.mp4", out / "gaze-grid.png", out / "meshes", out / "check"
+def stages(options: Options) -> list[Stage]:
+    """The jobs of the demo."""
+    out, source = options.out, {"subject": options.subject, "checkpoint": options.checkpoint, "overwrite": True}
+    check_options = check.Options(out=out / "check", **source)
+    if options.quick:
+        check_options = replace(check_options, views=3, gazes=1, size=128, error_mesh=False)
+    frames, resolution = (24, 96) if options.quick else (90, 160)
     return [
-        Stage(
-            ["orbit", *source, "--out", str(orbit), "--frames", frames, "--gaze-path", "circle", "--overwrite"],
-            lambda: _orbit_numbers(orbit),
-        ),
-        Stage(["sheet", *source, "--out", str(grid), "--kind", "gaze-grid", "--overwrite"], dict),
-        Stage(
-            ["mesh", *source, "--out", str(meshes), "--resolution", resolution, "--overwrite"],
-            lambda: _mesh_numbers(meshes),
-        ),
-        Stage(["check", *source, "--out", str(check), *fewer, "--overwrite"], lambda: _check_numbers(check)),
+        Stage("orbit", orbit.Options(out=out / "orbit.mp4", frames=frames, gaze_path="circle", **source), make_orbit),
+        Stage("sheet", sheet.Options(out=out / "gaze-grid.png", **source), make_sheet),
+        Stage("mesh", mesh.Options(out=out / "meshes", resolution=resolution, **source), make_meshes),
+        Stage("check", check_options, make_check),
     ]
 
 
-def run_stage(stage: Stage) -> Outcome:
-    """Run one command with its own table kept back; its progress and warnings still show."""
-    from gazenerf.cli.libraries import missing_library
-    from gazenerf.cli.main import build_parser, load_command
+def run_stage(stage: Stage, head: Head) -> Outcome:
+    """Do one job; its progress still shows."""
+    from gazenerf.cli.common import showing_progress
 
     started = time.perf_counter()
     try:
-        with contextlib.redirect_stdout(io.StringIO()):
-            code = load_command(stage.name).run(build_parser([stage.name]).parse_args(stage.words))
-    except (UserError, ImportError, OSError) as error:
-        hint = next((found for cause in _causes(error) if (found := missing_library(cause))), None)
-        if hint is None and not isinstance(error, UserError):
-            raise
-        message = str(error) if isinstance(error, UserError) else str(hint)
-        return Outcome(None, time.perf_counter() - started, left_out=message, excused=hint is not None)
-    seconds = time.perf_counter() - started
-    return Outcome(code, seconds, stage.measured())
+        with naming_missing_libraries(), showing_progress() as progress:
+            measured, failed = stage.make(stage.options, head, progress)
+    except UserError as error:
+        excused = isinstance(error, MissingLibrary)
+        return Outcome(None, time.perf_counter() - started, left_out=str(error), excused=excused)
+    return Outcome(int(failed), time.perf_counter() - started, measured)
 
 
-def _causes(error: BaseException) -> Iterator[BaseException]:
-    cause: BaseException | None = error
-    while cause is not None:
-        yield cause
-        cause = cause.__cause__ or cause.__context__
+def make_orbit(options: orbit.Options, head: Head, progress: Progress) -> tuple[Measured, bool]:
+    """The orbit."""
+    from gazenerf.viz.pictures import flight
+
+    made = flight.make_orbit(head, flight.plan_orbit(options.out, options, options.overwrite), progress)
+    size = f"{made.frames} frames of {made.width}x{made.height}, drawn by the {made.path.name} path"
+    return {"subject": made.subject, "weights": made.weights, "video": size}, False
+
+
+def make_sheet(options: sheet.Options, head: Head, progress: Progress) -> tuple[Measured, bool]:
+    """The gaze grid."""
+    from gazenerf.viz.pictures import contact
+
+    made = contact.make_sheet(head, options.out, options, overwrite=options.overwrite, progress=progress)
+    return {"picture": f"{made.tiles} gazes, {made.width}x{made.height}"}, False
+
+
+def make_meshes(options: mesh.Options, head: Head, progress: Progress) -> tuple[Measured, bool]:
+    """The meshes."""
+    from gazenerf.export.pipeline import mesh_subject
+    from gazenerf.export.summary import part_line
+
+    report = mesh_subject(
+        head, options.out, options, gaze=options.checked_gaze(), overwrite=options.overwrite, progress=progress
+    )
+    return {part: part_line(written) for part, written in report.parts.items()}, False
+
+
+def make_check(options: check.Options, head: Head, progress: Progress) -> tuple[Measured, bool]:
+    """The check, with its report."""
+    result, _ = check.measure(options, head, progress)
+    measured = {
+        metric.label: metric.verdict
+        if metric.verdict == "unmeasured"
+        else f"{metric.value:.3g} {metric.unit}".strip() + f" ({metric.verdict})"
+        for metric in result.metrics
+    }
+    measured |= {f"{name} could not start": fix for name, fix in result.missing.items()}
+    return measured, bool(result.crossed(options.fail_on))
 
 
 def _finish(out: Path, plan: list[Stage], outcomes: dict[str, Outcome], seconds: float) -> None:
@@ -189,43 +208,3 @@ def _finish(out: Path, plan: list[Stage], outcomes: dict[str, Outcome], seconds:
     files = sorted(path for path in out.rglob("*") if path.is_file())
     rows |= {str(path.relative_to(out)): file_size(path) for path in files}
     summary_table(f"demo in {out}, {seconds:.0f} s", rows)
-
-
-def _orbit_numbers(video: Path) -> dict[str, str]:
-    about = _read(video.with_name(video.name + ".json"))
-    frames = len(about["frames"])
-    return {
-        "subject": about["subject"],
-        "weights": about["weights"],
-        "video": f"{frames} frames of {about['width']}x{about['height']}, drawn by the {about['speed']} path",
-    }
-
-
-def _mesh_numbers(folder: Path) -> dict[str, str]:
-    return {path.stem: _mesh_line(_read(path)) for path in sorted(folder.glob("*.json"))}
-
-
-def _mesh_line(about: dict[str, Any]) -> str:
-    closed = "watertight" if about["watertight"] else "open"
-    off = about["depth_disagreement_mm"]
-    return (
-        f"{about['vertices']:,} vertices, {about['faces']:,} faces, {closed}, {about['voxel_mm']:.2f} mm voxels, "
-        f"threshold {about['threshold_per_world_unit']:g}"
-        + ("" if off is None else f", {off:.2f} mm median from the rendered depth")
-    )
-
-
-def _check_numbers(folder: Path) -> dict[str, str]:
-    report = _read(folder / "report.json")
-    rows = {metric["label"]: _metric_line(metric) for metric in report["metrics"]}
-    return rows | {f"{name} could not start": fix for name, fix in report["missing_renderers"].items()}
-
-
-def _metric_line(metric: dict[str, Any]) -> str:
-    if metric["value"] is None:
-        return metric["verdict"]
-    return f"{metric['value']:.3g} {metric['unit']}".strip() + f" ({metric['verdict']})"
-
-
-def _read(path: Path) -> dict[str, Any]:
-    return json.loads(path.read_text(encoding="utf-8"))

@@ -28,16 +28,21 @@ _SPOKEN = (
 )
 
 
+class MissingLibrary(UserError):
+    """A system library is missing; the message names its package."""
+
+
 def missing_library(error: BaseException) -> str | None:
     """One line that names a missing system library and the command that installs it.
 
     Args:
-        error: What an import or a first use raised.
+        error: What an import or a first use raised; what caused it is looked at, too.
 
     Returns:
         The line, or None when the error is about something else.
     """
-    found = next((match[1] for pattern in _SPOKEN if (match := pattern.search(str(error)))), None)
+    texts = [str(cause) for cause in _causes(error)]
+    found = next((match[1] for text in texts for pattern in _SPOKEN if (match := pattern.search(text))), None)
     if found is None:
         return None
     library = found if found.startswith("lib") else f"lib{found}"
@@ -47,12 +52,19 @@ def missing_library(error: BaseException) -> str | None:
     return f"the system library {library} is missing; on Debian or Ubuntu: apt-get install {package}"
 
 
+def _causes(error: BaseException) -> Iterator[BaseException]:
+    cause: BaseException | None = error
+    while cause is not None:
+        yield cause
+        cause = cause.__cause__ or cause.__context__
+
+
 @contextmanager
 def naming_missing_libraries() -> Iterator[None]:
     """Within the block, what a missing system library caused becomes a line that names its package.
 
     Raises:
-        UserError: a library is missing, whether the error said so or what caused it.
+        MissingLibrary: a library is missing.
     """
     try:
         yield
@@ -60,4 +72,4 @@ def naming_missing_libraries() -> Iterator[None]:
         hint = missing_library(error)
         if hint is None:
             raise
-        raise UserError(hint) from error
+        raise MissingLibrary(hint) from error
