@@ -143,10 +143,10 @@ def _metric(entry: dict[str, Any], known: Definition | None) -> Metric:
         label,
         unit,
         meaning or (known.meaning if known else ""),
-        passes,
-        warns,
-        bool(entry["higher_is_better"]),
-        group,
+        passes=passes,
+        warns=warns,
+        higher_is_better=bool(entry["higher_is_better"]),
+        group=group,
         bounds=known.bounds if known else ANY,
     )
     return Metric(definition, value, error, reference)

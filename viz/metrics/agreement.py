@@ -28,68 +28,66 @@ DEFINITIONS = (
         "depth_median_mm", "depth error, median", "mm",
         "How far, in a typical pixel of a typical view, the field's surface lies from the reference head's, measured "
         "along the line of sight.",
-        1.5, 3.0, False, ALONG_RAYS, _SHAPE_ADVICE, NOT_NEGATIVE,
-        "Median over views of the median absolute difference of Euclidean depth along each pixel's ray, over pixels "
-        "seen by both and one pixel inside their common silhouette.",
+        passes=1.5, warns=3.0, group=ALONG_RAYS, bounds=NOT_NEGATIVE,
+        advice=_SHAPE_ADVICE,
+        method="Median over views of the median absolute difference of Euclidean depth along each pixel's ray, over "
+        "pixels seen by both and one pixel inside their common silhouette.",
         finding=Finding(0.3, 2),
     ),
     Definition(
         "depth_worst_mm", "depth error, median of the worst view", "mm",
         "The same depth error in the view where it is largest.",
-        3.0, 6.0, False, ALONG_RAYS,
-        "One direction is worse than the others, often one that training rarely saw: open that view's depth map and "
-        "avoid the direction, or train with more views of it.",
-        NOT_NEGATIVE, "The same median, of the worst view.",
+        passes=3.0, warns=6.0, group=ALONG_RAYS, bounds=NOT_NEGATIVE,
+        advice="One direction is worse than the others, often one that training rarely saw: open that view's depth "
+        "map and avoid the direction, or train with more views of it.",
+        method="The same median, of the worst view.",
     ),
     Definition(
         "depth_p95_mm", "depth error, 95th percentile", "mm",
         "The depth error that only one pixel in twenty exceeds.",
-        6.0, 12.0, False, ALONG_RAYS,
-        "Some regions are clearly off although the rest may be right; the depth maps show which, often hair, ears or "
-        "the neck.",
-        NOT_NEGATIVE, "Median over views of the 95th percentile.",
+        passes=6.0, warns=12.0, group=ALONG_RAYS, bounds=NOT_NEGATIVE,
+        advice="Some regions are clearly off although the rest may be right; the depth maps show which, often hair, "
+        "ears or the neck.",
+        method="Median over views of the 95th percentile.",
     ),
     Definition(
         "depth_bias_mm", "depth bias, absolute", "mm",
         "How far the whole surface lies in front of or behind the reference, errors in both directions cancelling.",
-        1.0, 2.0, False, ALONG_RAYS,
-        "The surface is shifted or scaled as a whole rather than rough: look at frame shift and size difference, and "
-        "check the cameras and the unit of the data.",
-        NOT_NEGATIVE,
-        "Absolute value of the median over views of the median signed difference; the report gives each view's with "
-        "its sign, positive is farther than the reference.",
+        passes=1.0, warns=2.0, group=ALONG_RAYS, bounds=NOT_NEGATIVE,
+        advice="The surface is shifted or scaled as a whole rather than rough: look at frame shift and size "
+        "difference, and check the cameras and the unit of the data.",
+        method="Absolute value of the median over views of the median signed difference; the report gives each view's "
+        "with its sign, positive is farther than the reference.",
     ),
     Definition(
         "silhouette_iou", "silhouette overlap (IoU)", "",
         "How much of the area covered by the field's head and by the reference head is covered by both; 1 is a "
         "perfect match.",
-        0.97, 0.94, True, ALONG_RAYS,
-        "The outlines differ; hair and shoulders that the head model lacks are a harmless cause, a wrong size or "
-        "position is not, so look at the silhouette pictures.",
-        SHARE,
-        "Median over views of intersection over union of the pixels with a surface (field: opacity at least 0.5).",
+        passes=0.97, warns=0.94, higher_is_better=True, group=ALONG_RAYS, bounds=SHARE,
+        advice="The outlines differ; hair and shoulders that the head model lacks are a harmless cause, a wrong size "
+        "or position is not, so look at the silhouette pictures.",
+        method="Median over views of intersection over union of the pixels with a surface (field: opacity at least "
+        "0.5).",
         finding=Finding(0.995, 3),
     ),
     Definition(
         "normal_median_deg", "normal error, median", "deg",
         "By how much the direction that the field's surface faces differs from the reference's in a typical pixel.",
-        10.0, 20.0, False, ALONG_RAYS,
-        "The surface is rough or lacks detail, so shaded meshes will look bumpy or flat: smooth the mesh or train "
-        "longer.",
-        NOT_NEGATIVE,
-        "Median over views of the median angle between the field's normals (minus the smoothed density gradient) and "
-        "the reference's interpolated vertex normals.",
+        passes=10.0, warns=20.0, group=ALONG_RAYS, bounds=NOT_NEGATIVE,
+        advice="The surface is rough or lacks detail, so shaded meshes will look bumpy or flat: smooth the mesh or "
+        "train longer.",
+        method="Median over views of the median angle between the field's normals (minus the smoothed density "
+        "gradient) and the reference's interpolated vertex normals.",
         finding=Finding(0.3, 2),
     ),
     Definition(
         "blemish_mm2", "largest hole or floater", "mm²",
         "The area of the largest connected spot where the field's surface is missing or more than 5 mm off.",
-        50.0, 200.0, False, ALONG_RAYS,
-        "There is a hole in the head or something floats before it: find it in the depth maps, and repair or clean the "
-        "mesh before use.",
-        NOT_NEGATIVE,
-        "Area of the largest connected spot of any view that is off by more than 5 mm along the ray, or missing, at "
-        "least 4 pixels inside the reference's silhouette; strips under 3 pixels wide are left out.",
+        passes=50.0, warns=200.0, group=ALONG_RAYS, bounds=NOT_NEGATIVE,
+        advice="There is a hole in the head or something floats before it: find it in the depth maps, and repair or "
+        "clean the mesh before use.",
+        method="Area of the largest connected spot of any view that is off by more than 5 mm along the ray, or "
+        "missing, at least 4 pixels inside the reference's silhouette; strips under 3 pixels wide are left out.",
         finding=Finding(20.0, 0),
     ),
 )  # fmt: skip
@@ -99,16 +97,18 @@ RENDERER_DEFINITIONS = (
     Definition(
         "renderers_mm", "difference between reference renderers, depth", "mm",
         "How far two independent renderers disagree about the depth of the same reference head.",
-        0.1, 0.5, False, RENDERERS, _RENDERER_ADVICE, NOT_NEGATIVE,
-        "Largest, over views and pairs of renderers, of the 95th percentile of the depth difference on interior "
-        "pixels.",
+        passes=0.1, warns=0.5, group=RENDERERS, bounds=NOT_NEGATIVE,
+        advice=_RENDERER_ADVICE,
+        method="Largest, over views and pairs of renderers, of the 95th percentile of the depth difference on "
+        "interior pixels.",
     ),
     Definition(
         "renderers_px", "difference between reference renderers, silhouette", "px",
         "How far two independent renderers disagree about the outline of the same reference head.",
-        1.0, 2.0, False, RENDERERS, _RENDERER_ADVICE, NOT_NEGATIVE,
-        "Largest, over views and pairs of renderers, of the 95th percentile of the disputed pixels' distance from the "
-        "outline.",
+        passes=1.0, warns=2.0, group=RENDERERS, bounds=NOT_NEGATIVE,
+        advice=_RENDERER_ADVICE,
+        method="Largest, over views and pairs of renderers, of the 95th percentile of the disputed pixels' distance "
+        "from the outline.",
     ),
 )  # fmt: skip
 """Reference renderers against each other: the floor under the metrics along the rays."""

@@ -40,7 +40,6 @@ fall for it."""
 MIN_ALIGNED = 3
 """Fewest cameras from which a similarity is found."""
 
-
 _ADVICE = (
     "Structure from motion finds other cameras than those given: with many matches the pictures are inconsistent, with "
     "few matches COLMAP itself is unsure, so look at TSED first."
@@ -50,31 +49,33 @@ DEFINITIONS = (
     Definition(
         "sfm_registered", "COLMAP: pictures registered, share", "",
         "The share of the pictures that COLMAP, a structure-from-motion program, can fit into one 3D scene.",
-        0.95, 0.8, True, CAMERAS,
-        "Some pictures do not fit into one scene with the others, or have too little texture: look at which pairs have "
-        "few matches.",
-        SHARE, "Share of the pictures in COLMAP's largest model.", checks=("field", "frames"),
+        passes=0.95, warns=0.8, higher_is_better=True, group=CAMERAS, bounds=SHARE, checks=("field", "frames"),
+        advice="Some pictures do not fit into one scene with the others, or have too little texture: look at which "
+        "pairs have few matches.",
+        method="Share of the pictures in COLMAP's largest model.",
     ),
     Definition(
         "sfm_reprojection_px", "COLMAP: reprojection error, mean", "px",
         "How far the 3D points that COLMAP finds land from where the pictures show them.",
-        1.0, 2.0, False, CAMERAS, _ADVICE, NOT_NEGATIVE, "Mean reprojection error of the model's points.",
-        checks=("field", "frames"),
+        passes=1.0, warns=2.0, group=CAMERAS, bounds=NOT_NEGATIVE, checks=("field", "frames"),
+        advice=_ADVICE,
+        method="Mean reprojection error of the model's points.",
     ),
     Definition(
         "sfm_position_percent", "COLMAP: camera positions off, of their distance", "%",
         "How far the camera positions that COLMAP finds lie from the given ones, in per cent of the distance to what "
         "they look at.",
-        1.5, 5.0, False, CAMERAS, _ADVICE, NOT_NEGATIVE,
-        "Median distance between the model's camera centres and the given ones after a similarity fit, of their median "
-        "distance from the point they look at.",
-        checks=("field", "frames"),
+        passes=1.5, warns=5.0, group=CAMERAS, bounds=NOT_NEGATIVE, checks=("field", "frames"),
+        advice=_ADVICE,
+        method="Median distance between the model's camera centres and the given ones after a similarity fit, of "
+        "their median distance from the point they look at.",
     ),
     Definition(
         "sfm_turn_deg", "COLMAP: cameras turned", "deg",
         "By how much the cameras that COLMAP finds are turned against the given ones.",
-        1.0, 3.0, False, CAMERAS, _ADVICE, NOT_NEGATIVE,
-        "Median angle between the model's cameras and the given ones after that fit.", checks=("field", "frames"),
+        passes=1.0, warns=3.0, group=CAMERAS, bounds=NOT_NEGATIVE, checks=("field", "frames"),
+        advice=_ADVICE,
+        method="Median angle between the model's cameras and the given ones after that fit.",
     ),
 )  # fmt: skip
 """Structure from motion."""

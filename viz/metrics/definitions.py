@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Any, Literal
 
 from gazenerf.errors import UserError
@@ -62,6 +62,7 @@ class Definition:
     label: str
     unit: str
     meaning: str
+    _: KW_ONLY
     passes: float
     warns: float
     higher_is_better: bool = False

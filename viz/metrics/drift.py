@@ -29,7 +29,6 @@ MIN_PIXELS = 100
 REACH_PX = 8.0
 """A picture that lies farther from its volume is not registered."""
 
-
 PICTURE_AND_VOLUME = "Picture against its volume"
 
 _SHIFT_ADVICE = (
@@ -46,45 +45,49 @@ DEFINITIONS = (
         "picture_iou", "silhouette of the picture against the opacity (IoU)", "",
         "How much of the area covered by the head in the picture and in the volume is covered by both; 1 is a perfect "
         "match.",
-        0.97, 0.94, True, PICTURE_AND_VOLUME,
-        "The neural renderer draws a head of another outline than the volume's, so meshes will not overlay the "
+        passes=0.97, warns=0.94, higher_is_better=True, group=PICTURE_AND_VOLUME, bounds=SHARE,
+        advice="The neural renderer draws a head of another outline than the volume's, so meshes will not overlay the "
         "pictures: look at the silhouettes, and at the shift of the outline.",
-        SHARE,
-        "Median over views of intersection over union of the picture's silhouette (what differs from the background "
-        "colour by more than 0.06, holes filled, largest piece) and of the pixels with opacity at least 0.5.",
+        method="Median over views of intersection over union of the picture's silhouette (what differs from the "
+        "background colour by more than 0.06, holes filled, largest piece) and of the pixels with opacity at least "
+        "0.5.",
         finding=Finding(0.995, 3),
     ),
     Definition(
         "outline_shift_px", "shift of the outline against the opacity", "px",
         "How far the outline of the head in the picture is shifted against the volume's.",
-        0.5, 1.0, False, PICTURE_AND_VOLUME, _SHIFT_ADVICE, NOT_NEGATIVE,
-        "Length of the median shift between the two outlines; growth is not counted as a shift.",
+        passes=0.5, warns=1.0, group=PICTURE_AND_VOLUME, bounds=NOT_NEGATIVE,
+        advice=_SHIFT_ADVICE,
+        method="Length of the median shift between the two outlines; growth is not counted as a shift.",
         finding=Finding(0.3, 2),
     ),
     Definition(
         "picture_shift_px", "shift of the picture against the volume", "px",
         "How far what the picture shows inside the outline is shifted against the volume's surface.",
-        0.5, 1.0, False, PICTURE_AND_VOLUME, _SHIFT_ADVICE, NOT_NEGATIVE,
-        "Length of the median shift between the picture and what the volume explains of it: a mixture, fitted per "
-        "channel, of the nine spherical harmonics of its normals, its opacity and its visible eyes.",
+        passes=0.5, warns=1.0, group=PICTURE_AND_VOLUME, bounds=NOT_NEGATIVE,
+        advice=_SHIFT_ADVICE,
+        method="Length of the median shift between the picture and what the volume explains of it: a mixture, fitted "
+        "per channel, of the nine spherical harmonics of its normals, its opacity and its visible eyes.",
         finding=Finding(0.5, 2),
     ),
     Definition(
         "unfollowed_share", "fine texture that does not follow the surface", "",
         "How much of the fine texture fails to move with the surface when the camera moves by about 30 degrees; 0 is "
         "none, 1 is all of it.",
-        0.5, 0.8, False, PICTURE_AND_VOLUME, _STICKING_ADVICE, (0.0, 2.0),
-        "Fine texture (0.8 to 3 px) of A and of B warped into A: energy of the difference divided by the energy of "
-        "both, long pairs; 0 when it lies on the surface, 1 when the two are unrelated.",
+        passes=0.5, warns=0.8, group=PICTURE_AND_VOLUME, bounds=(0.0, 2.0),
+        advice=_STICKING_ADVICE,
+        method="Fine texture (0.8 to 3 px) of A and of B warped into A: energy of the difference divided by the "
+        "energy of both, long pairs; 0 when it lies on the surface, 1 when the two are unrelated.",
         finding=Finding(0.2, 3),
     ),
     Definition(
         "screen_stuck", "fine texture that stays on the screen", "",
         "Whether fine texture stays at the same pixel while the surface moves away under it; 0 is not at all, 1 is "
         "entirely.",
-        0.2, 0.5, False, PICTURE_AND_VOLUME, _STICKING_ADVICE, COSINE,
-        "Correlation of the fine texture of A and B at the same pixel, where the surface moved at least 4 px, long "
-        "pairs.",
+        passes=0.2, warns=0.5, group=PICTURE_AND_VOLUME, bounds=COSINE,
+        advice=_STICKING_ADVICE,
+        method="Correlation of the fine texture of A and B at the same pixel, where the surface moved at least 4 px, "
+        "long pairs.",
         finding=Finding(0.3, 3),
     ),
 )  # fmt: skip

@@ -40,7 +40,6 @@ AWAY = 2.5
 FACE_SIZE = 64
 """Pixels of the depth that the face's pose is read from."""
 
-
 OVER_GAZES = "Eyes over a gaze grid"
 
 _GAZE_ADVICE = (
@@ -64,88 +63,102 @@ DEFINITIONS = (
     Definition(
         "gaze_error_deg", "gaze by iris, error", "deg",
         "By how much the direction the eyes are seen to look in differs from the one they were told.",
-        3.0, 6.0, False, OVER_GAZES, _GAZE_ADVICE, NOT_NEGATIVE, "Mean angle between measured and commanded gaze.",
+        passes=3.0, warns=6.0, group=OVER_GAZES, bounds=NOT_NEGATIVE,
+        advice=_GAZE_ADVICE,
+        method="Mean angle between measured and commanded gaze.",
         finding=Finding(0.5, 2),
     ),
     Definition(
         "gaze_bias_deg", "gaze by iris, bias", "deg",
         "By how much the eyes look to one side of where they are told, whatever the gaze.",
-        2.0, 4.0, False, OVER_GAZES, _GAZE_ADVICE, NOT_NEGATIVE,
-        "Length of the mean of measured less commanded (pitch, yaw).", finding=Finding(0.5, 2),
+        passes=2.0, warns=4.0, group=OVER_GAZES, bounds=NOT_NEGATIVE,
+        advice=_GAZE_ADVICE,
+        method="Length of the mean of measured less commanded (pitch, yaw).",
+        finding=Finding(0.5, 2),
     ),
     Definition(
         "gaze_spread_deg", "gaze by iris, spread over views", "deg",
         "By how much the direction the eyes seem to look in changes with the viewpoint.",
-        3.0, 6.0, False, OVER_GAZES,
-        "The eyes follow the camera a little, or the iris is hard to find: look at the eyes from several sides, and "
-        "measure larger pictures (--size) to tell which.",
-        NOT_NEGATIVE,
-        "Mean over gazes and eyes of the root mean square angle between single views' readings and their mean.",
+        passes=3.0, warns=6.0, group=OVER_GAZES, bounds=NOT_NEGATIVE,
+        advice="The eyes follow the camera a little, or the iris is hard to find: look at the eyes from several "
+        "sides, and measure larger pictures (--size) to tell which.",
+        method="Mean over gazes and eyes of the root mean square angle between single views' readings and their mean.",
         finding=Finding(0.5, 2),
     ),
     Definition(
         "gaze_slope", "gaze response, deviation from 1", "",
         "By how much more or less than one degree the eyes turn for each degree they are told.",
-        0.1, 0.25, False, OVER_GAZES, _RESPONSE_ADVICE, NOT_NEGATIVE,
-        "Deviation from 1 of the measured degrees per commanded degree, pitch or yaw, whichever is larger, by least "
-        "squares.",
+        passes=0.1, warns=0.25, group=OVER_GAZES, bounds=NOT_NEGATIVE,
+        advice=_RESPONSE_ADVICE,
+        method="Deviation from 1 of the measured degrees per commanded degree, pitch or yaw, whichever is larger, by "
+        "least squares.",
         finding=Finding(0.05, 3),
     ),
     Definition(
         "gaze_crosstalk", "pitch from yaw or yaw from pitch", "",
         "How many degrees the eyes turn up or down for each degree they are told to turn sideways, or the other way "
         "round.",
-        0.05, 0.15, False, OVER_GAZES, _RESPONSE_ADVICE, NOT_NEGATIVE,
-        "Degrees of pitch per degree of commanded yaw, or the other way round, whichever is larger.",
+        passes=0.05, warns=0.15, group=OVER_GAZES, bounds=NOT_NEGATIVE,
+        advice=_RESPONSE_ADVICE,
+        method="Degrees of pitch per degree of commanded yaw, or the other way round, whichever is larger.",
         finding=Finding(0.05, 3),
     ),
     Definition(
         "gaze_nonlinear_deg", "largest deviation from a straight line", "deg",
         "By how much the eyes' turning departs from being proportional to what they are told.",
-        2.0, 4.0, False, OVER_GAZES, _RESPONSE_ADVICE, NOT_NEGATIVE,
-        "Largest distance of a reading from the straight line fitted for the response.", finding=Finding(0.5, 2),
+        passes=2.0, warns=4.0, group=OVER_GAZES, bounds=NOT_NEGATIVE,
+        advice=_RESPONSE_ADVICE,
+        method="Largest distance of a reading from the straight line fitted for the response.",
+        finding=Finding(0.5, 2),
     ),
     Definition(
         "eye_drift_mm", "eyeball centre over the sweep", "mm",
         "How far the centre of an eyeball wanders while only the gaze changes.",
-        1.0, 2.0, False, OVER_GAZES, _EYEBALL_ADVICE, NOT_NEGATIVE,
-        "Root mean square distance of the fitted sphere's centre from its mean over the gazes, the worse eye.",
+        passes=1.0, warns=2.0, group=OVER_GAZES, bounds=NOT_NEGATIVE,
+        advice=_EYEBALL_ADVICE,
+        method="Root mean square distance of the fitted sphere's centre from its mean over the gazes, the worse eye.",
         finding=Finding(0.2, 2),
     ),
     Definition(
         "eye_radius_drift_mm", "eyeball radius over the sweep", "mm",
         "How much the size of an eyeball changes while only the gaze changes.",
-        1.0, 2.0, False, OVER_GAZES, _EYEBALL_ADVICE, NOT_NEGATIVE, "The same of the sphere's radius.",
+        passes=1.0, warns=2.0, group=OVER_GAZES, bounds=NOT_NEGATIVE,
+        advice=_EYEBALL_ADVICE,
+        method="The same of the sphere's radius.",
         finding=Finding(0.2, 2),
     ),
     Definition(
         "eye_distance_mm", "distance between the eyes, off the reference", "mm",
         "By how much the distance between both eyeballs differs from the head model's.",
-        1.0, 2.0, False, OVER_GAZES,
-        "The eyes stand closer together or farther apart than the head model's, which biases the gaze measured by the "
-        "iris: fit the head model to the person again.",
-        NOT_NEGATIVE, "Median over gazes of the distance between both centres, less the head model's; absolute.",
+        passes=1.0, warns=2.0, group=OVER_GAZES, bounds=NOT_NEGATIVE,
+        advice="The eyes stand closer together or farther apart than the head model's, which biases the gaze measured "
+        "by the iris: fit the head model to the person again.",
+        method="Median over gazes of the distance between both centres, less the head model's; absolute.",
         finding=Finding(0.2, 2),
     ),
     Definition(
         "pose_change_mm", "head moved by a change of gaze", "mm",
         "How far the face moves while only the gaze changes.",
-        0.5, 1.0, False, OVER_GAZES, _STILL_ADVICE, NOT_NEGATIVE,
-        "Largest shift of the face's depth against the first gaze, by a rigid fit, more than 2.5 eyeball radii from "
-        "the eyes.",
+        passes=0.5, warns=1.0, group=OVER_GAZES, bounds=NOT_NEGATIVE,
+        advice=_STILL_ADVICE,
+        method="Largest shift of the face's depth against the first gaze, by a rigid fit, more than 2.5 eyeball radii "
+        "from the eyes.",
         finding=Finding(0.2, 2),
     ),
     Definition(
         "pose_change_deg", "head turned by a change of gaze", "deg",
         "By how much the face turns while only the gaze changes.",
-        0.25, 0.5, False, OVER_GAZES, _STILL_ADVICE, NOT_NEGATIVE, "Largest turn of the same fits.",
+        passes=0.25, warns=0.5, group=OVER_GAZES, bounds=NOT_NEGATIVE,
+        advice=_STILL_ADVICE,
+        method="Largest turn of the same fits.",
         finding=Finding(0.2, 2),
     ),
     Definition(
         "face_change_psnr", "face away from the eyes, between gazes", "dB",
         "How alike the picture away from the eyes stays while only the gaze changes.",
-        35.0, 28.0, True, OVER_GAZES, _STILL_ADVICE, DECIBELS,
-        "Smallest PSNR of the front picture against the first gaze's, equally far from the eyes.",
+        passes=35.0, warns=28.0, higher_is_better=True, group=OVER_GAZES, bounds=DECIBELS,
+        advice=_STILL_ADVICE,
+        method="Smallest PSNR of the front picture against the first gaze's, equally far from the eyes.",
         finding=Finding(40.0, 1),
     ),
 )  # fmt: skip

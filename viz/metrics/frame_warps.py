@@ -42,36 +42,39 @@ DEFINITIONS = (
         "reprojection", "depth reprojection, consistent share", "",
         "The share of the surface that lands on itself when one frame is carried into a neighbour by its depth and "
         "back.",
-        0.95, 0.85, True, BY_DEPTH, _DEPTH_ADVICE, SHARE,
-        "Share of co-visible pixels that return within 1 px and with less than 1 % difference in depth, median over "
-        "neighbours.",
-        checks=("frames",),
+        passes=0.95, warns=0.85, higher_is_better=True, group=BY_DEPTH, bounds=SHARE, checks=("frames",),
+        advice=_DEPTH_ADVICE,
+        method="Share of co-visible pixels that return within 1 px and with less than 1 % difference in depth, median "
+        "over neighbours.",
     ),
     Definition(
         "round_trip_px", "reprojection round trip, median", "px",
         "How far from its start a pixel lands after it is carried into a neighbour by its depth and back.",
-        0.3, 0.6, False, BY_DEPTH, _DEPTH_ADVICE, NOT_NEGATIVE, "Median distance of the round trip.",
-        checks=("frames",),
+        passes=0.3, warns=0.6, group=BY_DEPTH, bounds=NOT_NEGATIVE, checks=("frames",),
+        advice=_DEPTH_ADVICE,
+        method="Median distance of the round trip.",
     ),
     Definition(
         "warp_psnr", "picture warped to a neighbour", "dB",
         "How alike two neighbouring pictures look when one is warped onto the other by its depth.",
-        28.0, 22.0, True, BY_DEPTH, _WARP_ADVICE, DECIBELS, "PSNR over consistent pixels, median over neighbours.",
-        checks=("frames",),
+        passes=28.0, warns=22.0, higher_is_better=True, group=BY_DEPTH, bounds=DECIBELS, checks=("frames",),
+        advice=_WARP_ADVICE,
+        method="PSNR over consistent pixels, median over neighbours.",
     ),
     Definition(
         "warp_worst_psnr", "picture warped, worst pair", "dB",
         "The same likeness for the two neighbours that differ most.",
-        24.0, 19.0, True, BY_DEPTH,
-        "One frame does not fit its neighbours: look at the worst pair and check that picture and camera belong "
-        "together.",
-        DECIBELS, "PSNR of the worst neighbours.", checks=("frames",),
+        passes=24.0, warns=19.0, higher_is_better=True, group=BY_DEPTH, bounds=DECIBELS, checks=("frames",),
+        advice="One frame does not fit its neighbours: look at the worst pair and check that picture and camera "
+        "belong together.",
+        method="PSNR of the worst neighbours.",
     ),
     Definition(
         "warp_long_psnr", "picture warped by about 30 degrees", "dB",
         "How alike two pictures about 30 degrees apart look when one is warped onto the other by its depth.",
-        25.0, 20.0, True, BY_DEPTH, _WARP_ADVICE, DECIBELS, "PSNR between frames 20 to 40 degrees apart, median.",
-        checks=("frames",),
+        passes=25.0, warns=20.0, higher_is_better=True, group=BY_DEPTH, bounds=DECIBELS, checks=("frames",),
+        advice=_WARP_ADVICE,
+        method="PSNR between frames 20 to 40 degrees apart, median.",
     ),
 )  # fmt: skip
 """Frames against each other by their depth files."""

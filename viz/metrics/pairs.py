@@ -24,7 +24,6 @@ REACHES = {"short": (2.0, 8.0), "long": (24.0, 36.0)}
 EYE_REGION = 2.0
 """The eye region is surface within so many eyeball radii of an eye's centre."""
 
-
 MERGED = "Views against each other: the merged picture"
 EACH_STREAM = "Views against each other: each stream alone"
 
@@ -57,69 +56,93 @@ def _stream(part: Part, near: tuple[float, float], far: tuple[float, float]) -> 
         Definition(
             f"reprojection_{part}", f"{part} stream: depth reprojection", "",
             f"The same round trip by depth, for the {part} volume alone.",
-            0.95, 0.85, True, EACH_STREAM, _DEPTH_ADVICE, SHARE, f"{_REPROJECTION_METHOD}, of {alone}.",
+            passes=0.95, warns=0.85, higher_is_better=True, group=EACH_STREAM, bounds=SHARE,
+            advice=_DEPTH_ADVICE,
+            method=f"{_REPROJECTION_METHOD}, of {alone}.",
             finding=Finding(0.985, 3),
         ),
         Definition(
             f"warp_psnr_{part}", f"{part} stream: warped, about 5 degrees", "dB",
             f"How alike two views of the {part} volume's picture, about 5 degrees apart, look on the same surface.",
-            *near, True, EACH_STREAM, advice, DECIBELS, f"PSNR, short pairs, of {alone}.", finding=found[0],
+            passes=near[0], warns=near[1], higher_is_better=True, group=EACH_STREAM, bounds=DECIBELS,
+            advice=advice,
+            method=f"PSNR, short pairs, of {alone}.",
+            finding=found[0],
         ),
         Definition(
             f"warp_long_psnr_{part}", f"{part} stream: warped, about 30 degrees", "dB",
             f"How alike two views of the {part} volume's picture, about 30 degrees apart, look on the same surface.",
-            *far, True, EACH_STREAM, advice, DECIBELS, f"PSNR, long pairs, of {alone}.", finding=found[1],
+            passes=far[0], warns=far[1], higher_is_better=True, group=EACH_STREAM, bounds=DECIBELS,
+            advice=advice,
+            method=f"PSNR, long pairs, of {alone}.",
+            finding=found[1],
         ),
     )  # fmt: skip
 
 
 DEFINITIONS = (
     Definition(
-        "reprojection", "depth reprojection, consistent share", "", _REPROJECTION,
-        0.95, 0.85, True, MERGED, _DEPTH_ADVICE, SHARE, f"{_REPROJECTION_METHOD}.", finding=Finding(0.985, 3),
+        "reprojection", "depth reprojection, consistent share", "",
+        _REPROJECTION,
+        passes=0.95, warns=0.85, higher_is_better=True, group=MERGED, bounds=SHARE,
+        advice=_DEPTH_ADVICE,
+        method=f"{_REPROJECTION_METHOD}.",
+        finding=Finding(0.985, 3),
     ),
     Definition(
         "round_trip_px", "reprojection round trip, median", "px",
         "How far from its start a pixel lands after it is carried into another view by its depth and back.",
-        0.3, 0.6, False, MERGED, _DEPTH_ADVICE, NOT_NEGATIVE, "Median distance of the round trip.",
+        passes=0.3, warns=0.6, group=MERGED, bounds=NOT_NEGATIVE,
+        advice=_DEPTH_ADVICE,
+        method="Median distance of the round trip.",
         finding=Finding(0.1, 2),
     ),
     Definition(
         "warp_psnr", "picture warped, about 5 degrees", "dB",
         "How alike two pictures about 5 degrees apart look when one is warped onto the other by the field's own depth.",
-        30.0, 25.0, True, MERGED, _WARP_ADVICE, DECIBELS,
-        "PSNR of B's picture warped into A over consistent pixels, short pairs.", finding=Finding(40.0, 1),
+        passes=30.0, warns=25.0, higher_is_better=True, group=MERGED, bounds=DECIBELS,
+        advice=_WARP_ADVICE,
+        method="PSNR of B's picture warped into A over consistent pixels, short pairs.",
+        finding=Finding(40.0, 1),
     ),
     Definition(
         "warp_ssim", "picture warped, about 5 degrees, SSIM", "",
         "The same likeness by local structure instead of brightness; 1 is identical.",
-        0.95, 0.9, True, MERGED, _WARP_ADVICE, COSINE,
-        "SSIM of the same; windows see A's own pixels around them.",
+        passes=0.95, warns=0.9, higher_is_better=True, group=MERGED, bounds=COSINE,
+        advice=_WARP_ADVICE,
+        method="SSIM of the same; windows see A's own pixels around them.",
     ),
     Definition(
         "warp_long_psnr", "picture warped, about 30 degrees", "dB",
         "How alike two pictures about 30 degrees apart look when one is warped onto the other.",
-        26.0, 21.0, True, MERGED, _WARP_ADVICE, DECIBELS, "PSNR, long pairs.", finding=Finding(40.0, 1),
+        passes=26.0, warns=21.0, higher_is_better=True, group=MERGED, bounds=DECIBELS,
+        advice=_WARP_ADVICE,
+        method="PSNR, long pairs.",
+        finding=Finding(40.0, 1),
     ),
     Definition(
         "warp_worst_psnr", "picture warped, worst pair", "dB",
         "The same likeness for the two pictures that differ most.",
-        24.0, 19.0, True, MERGED,
-        "One view does not fit the others, often at the edge of what was trained: look at the worst pair and leave "
-        "that direction out of orbits.",
-        DECIBELS, "PSNR of the worst pair.", finding=Finding(38.0, 1),
+        passes=24.0, warns=19.0, higher_is_better=True, group=MERGED, bounds=DECIBELS,
+        advice="One view does not fit the others, often at the edge of what was trained: look at the worst pair and "
+        "leave that direction out of orbits.",
+        method="PSNR of the worst pair.",
+        finding=Finding(38.0, 1),
     ),
     Definition(
         "warp_eye_region_psnr", "eye region warped, about 5 degrees", "dB",
         "How alike the eyes and what surrounds them look in two views about 5 degrees apart.",
-        26.0, 21.0, True, MERGED, _EYES_ADVICE, DECIBELS,
-        "PSNR over surface within two eyeball radii of an eye's centre, short pairs.",
+        passes=26.0, warns=21.0, higher_is_better=True, group=MERGED, bounds=DECIBELS,
+        advice=_EYES_ADVICE,
+        method="PSNR over surface within two eyeball radii of an eye's centre, short pairs.",
     ),
     Definition(
         "warp_long_eye_region_psnr", "eye region warped, about 30 degrees", "dB",
         "How alike the eyes and what surrounds them look in two views about 30 degrees apart.",
-        20.0, 16.0, True, MERGED, _EYES_ADVICE, DECIBELS,
-        "PSNR over surface within two eyeball radii of an eye's centre, long pairs.", finding=Finding(32.0, 1),
+        passes=20.0, warns=16.0, higher_is_better=True, group=MERGED, bounds=DECIBELS,
+        advice=_EYES_ADVICE,
+        method="PSNR over surface within two eyeball radii of an eye's centre, long pairs.",
+        finding=Finding(32.0, 1),
     ),
     *_stream("face", (30.0, 25.0), (26.0, 21.0)),
     *_stream("eyes", (26.0, 21.0), (20.0, 16.0)),

@@ -41,43 +41,49 @@ DEFINITIONS = (
     Definition(
         "surface_accuracy_mm", "accuracy: field to reference", "mm",
         "The mean distance of points on the field's surface from the reference head.",
-        1.5, 3.0, False, AS_SURFACES, _FAR, NOT_NEGATIVE,
-        "Mean distance of the field's points from the reference.",
+        passes=1.5, warns=3.0, group=AS_SURFACES, bounds=NOT_NEGATIVE,
+        advice=_FAR,
+        method="Mean distance of the field's points from the reference.",
     ),
     Definition(
         "surface_completeness_mm", "completeness: reference to field", "mm",
         "The mean distance of points on the reference head from the field's surface.",
-        1.5, 3.0, False, AS_SURFACES, _LACKING, NOT_NEGATIVE,
-        "Mean distance of the reference's points from the field.",
+        passes=1.5, warns=3.0, group=AS_SURFACES, bounds=NOT_NEGATIVE,
+        advice=_LACKING,
+        method="Mean distance of the reference's points from the field.",
     ),
     Definition(
         "chamfer_mm", "Chamfer distance", "mm",
         "The mean distance between the field's surface and the reference head, measured both ways.",
-        1.5, 3.0, False, AS_SURFACES,
-        "The surfaces lie apart: if the distance after a rigid fit passes, the head is only misplaced, else its shape "
-        "is wrong.",
-        NOT_NEGATIVE, "Mean of accuracy and completeness.", finding=Finding(0.3, 2),
+        passes=1.5, warns=3.0, group=AS_SURFACES, bounds=NOT_NEGATIVE,
+        advice="The surfaces lie apart: if the distance after a rigid fit passes, the head is only misplaced, else "
+        "its shape is wrong.",
+        method="Mean of accuracy and completeness.",
+        finding=Finding(0.3, 2),
     ),
     Definition(
         "chamfer_aligned_mm", "Chamfer distance after a rigid fit", "mm",
         "The same distance after the field's surface is moved and turned onto the reference, so that shape alone "
         "counts.",
-        1.0, 2.0, False, AS_SURFACES, _FITTED, NOT_NEGATIVE,
-        "Chamfer distance after a rigid fit of the field to the reference.", finding=Finding(0.15, 2),
+        passes=1.0, warns=2.0, group=AS_SURFACES, bounds=NOT_NEGATIVE,
+        advice=_FITTED,
+        method="Chamfer distance after a rigid fit of the field to the reference.",
+        finding=Finding(0.15, 2),
     ),
     Definition(
         "normal_consistency", "normal consistency", "",
         "Whether both surfaces face the same way where they meet; 1 is everywhere the same direction.",
-        0.95, 0.9, True, AS_SURFACES,
-        "The surface is bumpier or flatter than the head, which shading shows: smooth the mesh or train longer.",
-        COSINE, "Mean cosine between normals of nearest points, both ways.",
+        passes=0.95, warns=0.9, higher_is_better=True, group=AS_SURFACES, bounds=COSINE,
+        advice="The surface is bumpier or flatter than the head, which shading shows: smooth the mesh or train longer.",
+        method="Mean cosine between normals of nearest points, both ways.",
     ),
     *(
         Definition(
             f"f_score_{limit:g}mm", f"F-score at {limit:g} mm", "",
             f"The share of both surfaces that lies within {limit:g} mm of the other; 1 is all of both.",
-            passes, warns, True, AS_SURFACES, _SCORE, SHARE,
-            f"Harmonic mean of the shares of points, each way, within {limit:g} mm; 0 when both are 0.",
+            passes=passes, warns=warns, higher_is_better=True, group=AS_SURFACES, bounds=SHARE,
+            advice=_SCORE,
+            method=f"Harmonic mean of the shares of points, each way, within {limit:g} mm; 0 when both are 0.",
             finding=finding,
         )
         for limit, passes, warns, finding in (
@@ -87,64 +93,71 @@ DEFINITIONS = (
     Definition(
         "face_accuracy_mm", "face crop, accuracy: field to reference", "mm",
         "The mean distance of the field's surface from the reference within the face alone.",
-        1.5, 3.0, False, FACE_CROP, _FAR, NOT_NEGATIVE, "Accuracy of the field's points in the crop.",
+        passes=1.5, warns=3.0, group=FACE_CROP, bounds=NOT_NEGATIVE,
+        advice=_FAR,
+        method="Accuracy of the field's points in the crop.",
     ),
     Definition(
         "face_completeness_mm", "face crop, completeness: reference to field", "mm",
         "The mean distance of the reference from the field's surface within the face alone.",
-        1.5, 3.0, False, FACE_CROP, _LACKING, NOT_NEGATIVE, "Completeness of the reference's points in the crop.",
+        passes=1.5, warns=3.0, group=FACE_CROP, bounds=NOT_NEGATIVE,
+        advice=_LACKING,
+        method="Completeness of the reference's points in the crop.",
     ),
     Definition(
         "face_chamfer_mm", "face crop, Chamfer distance", "mm",
         "The mean distance between both surfaces within the face alone, measured both ways.",
-        1.5, 3.0, False, FACE_CROP,
-        "The face is off by more than hair and neck could explain: look at the error mesh, and at the distance after a "
-        "rigid fit to tell position from shape.",
-        NOT_NEGATIVE, "Mean of the two.", finding=Finding(0.3, 2),
+        passes=1.5, warns=3.0, group=FACE_CROP, bounds=NOT_NEGATIVE,
+        advice="The face is off by more than hair and neck could explain: look at the error mesh, and at the distance "
+        "after a rigid fit to tell position from shape.",
+        method="Mean of the two.",
+        finding=Finding(0.3, 2),
     ),
     Definition(
         "face_chamfer_aligned_mm", "face crop, Chamfer distance after a rigid fit of it", "mm",
         "The same distance after the face is moved and turned onto the reference, so that the face's shape alone "
         "counts.",
-        1.0, 2.0, False, FACE_CROP, _FITTED, NOT_NEGATIVE, "Chamfer distance after a rigid fit of the crop.",
+        passes=1.0, warns=2.0, group=FACE_CROP, bounds=NOT_NEGATIVE,
+        advice=_FITTED,
+        method="Chamfer distance after a rigid fit of the crop.",
         finding=Finding(0.15, 2),
     ),
     Definition(
         "frame_shift_mm", "frame shift", "mm",
         "How far the whole head lies from where the reference head is.",
-        1.0, 2.0, False, FRAME_AND_EYES,
-        "The head is misplaced in the world, which shifts everything measured against the reference: check the cameras "
-        "of the training data.",
-        NOT_NEGATIVE, "Shift, at the world's origin, of the similarity fit of the field to the reference.",
+        passes=1.0, warns=2.0, group=FRAME_AND_EYES, bounds=NOT_NEGATIVE,
+        advice="The head is misplaced in the world, which shifts everything measured against the reference: check the "
+        "cameras of the training data.",
+        method="Shift, at the world's origin, of the similarity fit of the field to the reference.",
         finding=Finding(0.3, 2),
     ),
     Definition(
         "frame_turn_deg", "frame turn", "deg",
         "By how much the whole head is turned against the reference head.",
-        0.5, 1.0, False, FRAME_AND_EYES,
-        "The head is turned, so gazes measured in the world are off by as much: check the cameras' poses and the "
-        "head-pose convention of the training data.",
-        NOT_NEGATIVE, "Angle of that fit's rotation.", finding=Finding(0.25, 2),
+        passes=0.5, warns=1.0, group=FRAME_AND_EYES, bounds=NOT_NEGATIVE,
+        advice="The head is turned, so gazes measured in the world are off by as much: check the cameras' poses and "
+        "the head-pose convention of the training data.",
+        method="Angle of that fit's rotation.",
+        finding=Finding(0.25, 2),
     ),
     Definition(
         "scale_percent", "size difference, absolute", "%",
         "By how many per cent the head is larger or smaller than the reference head.",
-        1.0, 2.0, False, FRAME_AND_EYES,
-        "Exported meshes will have a wrong size: check the unit of the data and metres_per_unit of the checkpoint.",
-        NOT_NEGATIVE,
-        "Absolute difference in size by that fit; `surfaces` in report.json has the sign, positive where the field is "
-        "larger.",
+        passes=1.0, warns=2.0, group=FRAME_AND_EYES, bounds=NOT_NEGATIVE,
+        advice="Exported meshes will have a wrong size: check the unit of the data and metres_per_unit of the "
+        "checkpoint.",
+        method="Absolute difference in size by that fit; `surfaces` in report.json has the sign, positive where the "
+        "field is larger.",
         finding=Finding(0.3, 2),
     ),
     Definition(
         "eye_centre_mm", "eyeball centre, the worse eye", "mm",
         "How far the centre of an eyeball lies from the head model's, for the eye that is worse.",
-        1.0, 2.0, False, FRAME_AND_EYES,
-        "The eyes sit elsewhere than in the head model, so the lids will not fit them and the gaze measured by the "
-        "iris is biased: fit the head model to the person again.",
-        NOT_NEGATIVE,
-        "Distance between centres of spheres of the head model's eyeball radius, fitted to the field's and to the "
-        "reference's points where the reference shows an eye; the worse eye.",
+        passes=1.0, warns=2.0, group=FRAME_AND_EYES, bounds=NOT_NEGATIVE,
+        advice="The eyes sit elsewhere than in the head model, so the lids will not fit them and the gaze measured by "
+        "the iris is biased: fit the head model to the person again.",
+        method="Distance between centres of spheres of the head model's eyeball radius, fitted to the field's and to "
+        "the reference's points where the reference shows an eye; the worse eye.",
         finding=Finding(0.3, 2),
     ),
 )  # fmt: skip

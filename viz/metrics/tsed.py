@@ -29,7 +29,6 @@ RATIO = 0.75
 NEAR_DEGREES = 30.0
 """Largest angle between the optical axes of neighbours."""
 
-
 CAMERAS = "Pictures against their cameras"
 
 _TSED_ADVICE = (
@@ -42,29 +41,31 @@ DEFINITIONS = (
     *(
         Definition(
             f"tsed_{threshold:g}px",
-            f"TSED at {threshold:g} px" + (": consistent pairs, share" if threshold == THRESHOLDS_PX[0] else ""), "",
+            f"TSED at {threshold:g} px" + (": consistent pairs, share" if threshold == THRESHOLDS_PX[0] else ""),
+            "",
             f"The share of neighbouring pictures whose matched features lie within {threshold:g} px of where the "
             "cameras allow them (their epipolar lines).",
-            passes, warns, True, CAMERAS, _TSED_ADVICE, SHARE,
-            f"Share of pairs with at least {MIN_MATCHES} SIFT matches whose median symmetric epipolar distance is "
-            f"below {threshold:g} px.",
-            checks=("field", "frames"),
+            passes=passes, warns=warns, higher_is_better=True, group=CAMERAS, bounds=SHARE, checks=("field", "frames"),
+            advice=_TSED_ADVICE,
+            method=f"Share of pairs with at least {MIN_MATCHES} SIFT matches whose median symmetric epipolar distance "
+            f"is below {threshold:g} px.",
         )
         for threshold, (passes, warns) in zip(THRESHOLDS_PX, _SHARES, strict=True)
     ),
     Definition(
         "tsed_median_px", "distance from the epipolar lines, median", "px",
         "How far matched features of neighbouring pictures lie from where the cameras allow them.",
-        1.0, 2.0, False, CAMERAS, _TSED_ADVICE, NOT_NEGATIVE,
-        f"Median, over pairs with at least {MIN_MATCHES} matches, of their median symmetric epipolar distance.",
-        checks=("field", "frames"),
+        passes=1.0, warns=2.0, group=CAMERAS, bounds=NOT_NEGATIVE, checks=("field", "frames"),
+        advice=_TSED_ADVICE,
+        method=f"Median, over pairs with at least {MIN_MATCHES} matches, of their median symmetric epipolar distance.",
     ),
     Definition(
         "tsed_matches", "matches per pair, median", "",
         "How many features could be matched between two neighbouring pictures.",
-        20.0, 10.0, True, CAMERAS,
-        "There is too little texture to judge by, so TSED and COLMAP say little: measure larger pictures (--size).",
-        NOT_NEGATIVE, "Median number of matches per pair.", checks=("field", "frames"),
+        passes=20.0, warns=10.0, higher_is_better=True, group=CAMERAS, bounds=NOT_NEGATIVE, checks=("field", "frames"),
+        advice="There is too little texture to judge by, so TSED and COLMAP say little: measure larger pictures "
+        "(--size).",
+        method="Median number of matches per pair.",
     ),
 )  # fmt: skip
 """Thresholded symmetric epipolar distance (Yu et al. 2023)."""

@@ -232,20 +232,20 @@ def test_a_blemish_is_an_area_and_the_silhouettes_rim_is_none(field):
 
 
 def test_metrics_judge_both_directions():
-    small = Metric(Definition("a", "a", "mm", "A.", 1.0, 3.0), 2.0)
+    small = Metric(Definition("a", "a", "mm", "A.", passes=1.0, warns=3.0), 2.0)
     assert small.verdict == "warn" and small.crosses(1.5) and not small.crosses(2.5)
-    large = Metric(Definition("b", "b", "", "B.", 0.95, 0.85, True), 0.9)
+    large = Metric(Definition("b", "b", "", "B.", passes=0.95, warns=0.85, higher_is_better=True), 0.9)
     assert large.verdict == "warn" and large.crosses(0.95) and not large.crosses(0.85)
-    unknown = Metric(Definition("c", "c", "", "C.", 1, 2), float("nan"))
+    unknown = Metric(Definition("c", "c", "", "C.", passes=1, warns=2), float("nan"))
     assert unknown.verdict == "unmeasured" and unknown.crosses(5)
 
 
 def test_no_interval_leaves_what_its_values_can_be():
-    share = Definition("s", "s", "", "S.", 0.9, 0.7, True, bounds=(0.0, 1.0))
+    share = Definition("s", "s", "", "S.", passes=0.9, warns=0.7, higher_is_better=True, bounds=(0.0, 1.0))
     assert Metric(share, 0.98, 0.05).interval == pytest.approx((0.93, 1.0))
     assert Metric(share, 0.5, 0.1).interval == pytest.approx((0.4, 0.6))
     assert np.isnan(Metric(share, 0.5).interval).all() and np.isnan(Metric(share).interval).all()
-    distance = Definition("d", "d", "mm", "D.", 1.0, 2.0, bounds=(0.0, np.inf))
+    distance = Definition("d", "d", "mm", "D.", passes=1.0, warns=2.0, bounds=(0.0, np.inf))
     assert Metric(distance, 0.5, 2.0).interval == (0.0, 2.5)
 
 
