@@ -215,8 +215,8 @@ def test_pictures_of_any_size_are_warped():
     scene = SmoothScene()
     views, images = [scene.render_geometry(c) for c in cameras], [scene.render(c).image for c in cameras]
     assert np.isfinite(views[0].depth).sum() > 2**15
-    assert reproject(*views, 0.1, *images).warp_psnr > 60
-    assert reproject(*views, 0.1, images[0], images[0]).warp_psnr < 40, "another view's picture"
+    assert reproject(views[0], views[1], 0.1, images[0], images[1]).warp_psnr > 60
+    assert reproject(views[0], views[1], 0.1, images[0], images[0]).warp_psnr < 40, "another view's picture"
 
 
 def test_a_blemish_is_an_area_and_the_silhouettes_rim_is_none(field):

@@ -136,8 +136,7 @@ def test_the_face_crop_judges_the_face_and_the_rest_does_not_move_it():
     """A dent in the chin's side of the head, outside the ball, moves the whole but not the face."""
     scene = SmoothScene()
     mesh, exact = scene_mesh(scene, 3), view(128)
-    rays_o, rays_d = exact.camera.rays()
-    points = rays_o + np.nan_to_num(exact.depth)[..., None] * rays_d
+    points = exact.camera.unproject(np.nan_to_num(exact.depth))
     crop = face_crop(mesh)
     assert crop is not None
     outside, inside = ~crop.contains(points) & np.isfinite(exact.depth), crop.contains(points)
