@@ -9,7 +9,7 @@ import pytest
 
 from gazenerf.errors import UserError
 from gazenerf.geometry import Camera
-from gazenerf.heads.interface import PARTS
+from gazenerf.heads.interface import PARTS, Part
 from gazenerf.viz.check.workers import pool
 from gazenerf.viz.metrics.epipolar import epipolar_strips, strip_cameras
 from gazenerf.viz.metrics.pairs import angle_between, load_perceptual, measure_pair, view_pairs
@@ -49,7 +49,7 @@ def test_pairs_are_short_or_long_and_each_once():
 
 
 @pytest.mark.parametrize("part", ["head", "face", "eyes"])
-def test_a_stream_that_disagrees_is_told_from_the_others(part):
+def test_a_stream_that_disagrees_is_told_from_the_others(part: Part):
     scene = SmoothScene()
     cameras = [Camera.orbit(np.deg2rad(yaw), size=128) for yaw in (0.0, 5.0)]
     a, b = (render_streams(scene, camera) for camera in cameras)
