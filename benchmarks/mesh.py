@@ -129,7 +129,7 @@ def _in_a_process(args: argparse.Namespace, size: int) -> dict[str, Any]:
 
 
 def summed(whole: dict[str, Any], rates: dict[Part, float]) -> dict[str, Any]:
-    """What `extract` found for both parts together, against dense sampling at rates (points a second)."""
+    """What `extract` found for both parts together, against dense sampling at rates (points per second)."""
     seconds = sum(whole[part]["seconds"] for part in PARTS)
     queries, points = (sum(whole[part][name] for part in PARTS) for name in ("queries", "dense_queries"))
     guessed = sum(whole[part]["dense_queries"] / rates[part] for part in PARTS)

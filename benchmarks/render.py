@@ -141,7 +141,7 @@ def compare_upsamplers(field: TwoStreamField, rounds: int = 15) -> dict[str, Any
 
 
 def measure_scaling(field: TwoStreamField, subject: Subject, rounds: int = 3) -> dict[str, Any]:
-    """Seconds a frame by picture size, camera distance, samples a ray and number of frames.
+    """Seconds per frame by picture size, camera distance, samples per ray and number of frames.
 
     Distances change the visible surface alone: the same volume, the same picture size. Their exponent is
     the slope of log cost against log pixels on the head; a cost by volume would have 0.

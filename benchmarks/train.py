@@ -59,7 +59,7 @@ def analytic_captures(config: FieldConfig, count: int = 4) -> list[Capture]:
 
 
 def measure_steps(preset: str = "small", steps: int = 6) -> dict[str, Any]:
-    """Median seconds of the parts of a step, and steps a second.
+    """Median seconds of the parts of a step, and steps per second.
 
     Args:
         preset: Of `gazenerf.training.config.PRESETS`.

@@ -13,8 +13,7 @@ from gazenerf.export import MeshOptions, mesh_subject
 def main(out: Path, resolution: int) -> None:
     """Write both parts with a JSON sidecar each."""
     head = gazenerf.load()
-    options = MeshOptions(resolution=resolution, formats=("glb", "ply"))
-    print(f"presets: {', '.join(MeshOptions.uses())}; this is none of them: {options}")
+    options = MeshOptions(resolution=resolution, formats=("glb", "ply"))  # or MeshOptions.preset("blender")
     made = mesh_subject(head, out, options, overwrite=True, progress=print_progress)
     for part, found in made.parts.items():
         vertices, faces = len(found.mesh.vertices), len(found.mesh.faces)

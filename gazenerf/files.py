@@ -15,7 +15,7 @@ from gazenerf.errors import UserError
 
 
 def read_json(path: Path, most_bytes: int, *, absent: str, large: str) -> Any:
-    """The value in a stranger's JSON file of at most so many bytes.
+    """The value in an untrusted JSON file of at most so many bytes.
 
     Args:
         path: The file.

@@ -58,7 +58,8 @@ def open_tensors(path: Path, kind: TensorFileKind, framework: str = "numpy") -> 
         with safe_open(path, framework=framework) as file:
             metadata = file.metadata() or {}
             if metadata.get("format") != kind.format:
-                raise UserError(f"{path} is not a {kind.file or kind.name} (format {metadata.get('format')!r}); {kind.foreign}")
+                what, found = kind.file or kind.name, metadata.get("format")
+                raise UserError(f"{path} is not a {what} (format {found!r}); {kind.foreign}")
             yield file, metadata
     except (SafetensorError, OSError, KeyError, ValueError, TypeError, RuntimeError, RecursionError) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]

@@ -57,7 +57,7 @@ class TexturedMesh:
 
 
 BYTES_A_TEXEL = 100
-"""Peak bytes a texel while a texture is painted (measured, rounded up)."""
+"""Peak bytes per texel while a texture is painted (measured, rounded up)."""
 
 
 def check_texture(size: int) -> None:

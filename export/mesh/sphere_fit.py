@@ -31,11 +31,14 @@ class Eyeball:
     covered: float
 
 
-def fit_sphere(points: np.ndarray, scale: float = 0.005) -> Eyeball:
+def fit_sphere(points: np.ndarray, scale: float = 0.005, radius: float | None = None) -> Eyeball:
     """A sphere through most of the points (N, 3): soft-L1 geometric distance, then without outliers.
 
     Args:
+        points: World units.
         scale: Distances, world units, beyond which a point counts less.
+        radius: Of the sphere where it is known, world units; then only the centre is looked for, from the
+            points' front (+Z).
 
     Raises:
         UserError: fewer than 20 points, or they do not lie on a sphere smaller than their spread allows.
@@ -43,22 +46,27 @@ def fit_sphere(points: np.ndarray, scale: float = 0.005) -> Eyeball:
     points = np.asarray(points, dtype=np.float64)
     if len(points) < 20:
         raise UserError("an eye has too few surface points to fit a sphere; raise --resolution")
-    system = np.concatenate([2.0 * points, np.ones((len(points), 1))], axis=1)
-    first = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0]
-    guess = np.append(first[:3], np.sqrt(max(first[3] + first[:3] @ first[:3], 1e-12)))
+    if radius is None:
+        system = np.concatenate([2.0 * points, np.ones((len(points), 1))], axis=1)
+        first = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0]
+        guess = np.append(first[:3], np.sqrt(max(first[3] + first[:3] @ first[:3], 1e-12)))
+    else:
+        guess = points.mean(axis=0) - [0.0, 0.0, radius]
+
+    def distance(x: np.ndarray, some: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(some - x[:3], axis=1) - (x[3] if radius is None else radius)
+
     used = points
     for _ in range(3):
-        solved = least_squares(
-            lambda x, p=used: np.linalg.norm(p - x[:3], axis=1) - x[3], guess, loss="soft_l1", f_scale=scale
-        )
+        solved = least_squares(distance, guess, loss="soft_l1", f_scale=scale, args=(used,), xtol=1e-12)
         guess = solved.x
-        away = np.abs(np.linalg.norm(points - guess[:3], axis=1) - guess[3])
+        away = np.abs(distance(guess, points))
         used = points[away <= max(3.0 * float(np.median(away)), 0.2 * scale)]
-    centre, radius = guess[:3], float(abs(guess[3]))
-    if not np.isfinite(guess).all() or radius > 4.0 * float(np.ptp(points, axis=0).max()):
+    centre, found = guess[:3], float(abs(guess[3])) if radius is None else radius
+    if not np.isfinite(guess).all() or found > 4.0 * float(np.ptp(points, axis=0).max()):
         raise UserError("the eyes volume does not look like spheres; the rig needs a field trained for longer")
-    residual = float(np.sqrt(((np.linalg.norm(used - centre, axis=1) - radius) ** 2).mean()))
-    return Eyeball(centre, radius, residual, len(used), _covered(points, centre, radius))
+    residual = float(np.sqrt(((np.linalg.norm(used - centre, axis=1) - found) ** 2).mean()))
+    return Eyeball(centre, found, residual, len(used), _covered(points, centre, found))
 
 
 def _covered(points: np.ndarray, centre: np.ndarray, radius: float, within: float = 0.1) -> float:

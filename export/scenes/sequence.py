@@ -35,7 +35,7 @@ NEAR, FULL = 3.0, 2.25
 trembles by tenths of a millimetre everywhere when the gaze changes, which is no motion of the head."""
 
 FPS = 12.0
-"""Gazes a second in the clip."""
+"""Gazes per second in the clip."""
 
 
 @dataclass(frozen=True)

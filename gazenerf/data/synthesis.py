@@ -53,8 +53,8 @@ class SynthesizeOptions:
         "pyrender, or mitsuba for path-traced pictures, which take longer (default: pyrender)",
         metavar="NAME",
     )
-    supersampling: int | None = option(None, "N x N samples a pixel of pyrender (default: 2)", metavar="N")
-    samples: int | None = option(None, "light paths a pixel of mitsuba (default: 64)", metavar="N")
+    supersampling: int | None = option(None, "N x N samples per pixel of pyrender (default: 2)", metavar="N")
+    samples: int | None = option(None, "light paths per pixel of mitsuba (default: 64)", metavar="N")
 
     def check(self) -> None:
         """Raise UserError for settings that make no set."""

@@ -20,7 +20,7 @@ class FieldConfig:
         layers: Hidden layers of a stream.
         skip_after: The input is concatenated again after this many layers.
         frequencies: Octaves of the positional encoding.
-        samples: Samples a ray of the published slabs.
+        samples: Samples per ray of the published slabs.
         z_near, z_far: World z of the first and the last slab edge.
         identity, expression, texture, illumination: Code sizes.
         streams: `two` (face and eyes) or `one` (the vanilla ablations and HeadNeRF).
@@ -38,7 +38,7 @@ class FieldConfig:
         initialisation: `he` or `default` (the framework's).
         metres_per_unit: Size of a world unit.
         sampler: How pictures are sampled: `slabs` (published) or `guided` (found surface, then a shell).
-        shell: Half width of the guided shell, world units; shell_samples: its samples a ray.
+        shell: Half width of the guided shell, world units; shell_samples: its samples per ray.
         eyes_box: Lower and upper corner, world units, of the volume in which the eyes stream was trained;
             outside it its density is taken as 0. None where it was trained everywhere (published).
         trained_gaze_range: Largest |pitch|, |yaw| in degrees seen in training, None when unknown.

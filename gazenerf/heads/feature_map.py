@@ -80,7 +80,7 @@ class FeatureGrid:
         return np.flatnonzero(cv2.dilate(solid, cross) != cv2.erode(solid, cross))
 
     def smooth_outline(self, composite: Composite, background: torch.Tensor, found: RayFeatures) -> RayFeatures:
-        """Features and opacity along the outline averaged over four rays a feature pixel, in place.
+        """Features and opacity along the outline averaged over four rays per feature pixel, in place.
 
         One ray decides for `upsampling` squared picture pixels whether they show the head, which
         draws outlines as stairs.

@@ -17,7 +17,7 @@ class TrainConfig:
         field_preset: Name of the field's own preset (`gazenerf.field.config.PRESETS`).
         field_overrides: Fields of `FieldConfig` that differ from the preset.
         steps: Optimiser steps.
-        batch: Pictures a step.
+        batch: Pictures per step.
         optimizer: `adam` as in the paper, or `muon` for the hidden layers (see `optimizers`).
         muon_learning_rate: Muon's learning rate over Adam's.
         learning_rate: Peak learning rate of Adam (paper Sec. 4.2: 1e-4, constant).
@@ -26,7 +26,7 @@ class TrainConfig:
         warmup: Steps of linear warm-up.
         shell: Half width, world units, of the shell of samples around the captured surface; None
             samples the published slabs.
-        shell_samples: Samples a ray inside the shell.
+        shell_samples: Samples per ray inside the shell.
         shell_noise: Standard deviation of the shell's centre, world units, so that a field learns
             to be queried around a surface it found itself.
         reconstruction, perceptual, functional, disentanglement: The paper's lambdas (Sec. 4.2).

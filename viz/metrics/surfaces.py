@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gazenerf.evaluation.face_crop import FaceCrop, face_crop
+from gazenerf.export.mesh.sphere_fit import fit_sphere
 from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, HeadMesh
 from gazenerf.viz.metrics.agreement import DepthView
 from gazenerf.viz.metrics.definitions import COSINE, NOT_NEGATIVE, SHARE, Definition, Finding
@@ -272,30 +273,7 @@ def _eyes_apart(views: Sequence[DepthView], references: Sequence[ReferenceView],
             pairs.append([view.camera.unproject(depth)[both] for depth in (view.depth, reference.depth)])
         mine, theirs = (np.concatenate(points) for points in zip(*pairs, strict=True))
         if len(mine) >= MIN_EYE_PIXELS:
-            gap = np.linalg.norm(sphere_centre(mine, mesh.eye_radius) - sphere_centre(theirs, mesh.eye_radius))
+            a, b = (fit_sphere(points, radius=mesh.eye_radius).centre for points in (mine, theirs))
+            gap = np.linalg.norm(a - b)
             worst = float(np.fmax(worst, gap))
     return worst
-
-
-def sphere_centre(points: np.ndarray, radius: float, iterations: int = 30) -> np.ndarray:
-    """(3,) centre of the sphere of a known radius through points (N, 3) of its front.
-
-    Least squares; after five steps, points farther from the sphere than three times the median and
-    5 % of the radius are left out, so that some lid among the points does not pull it.
-
-    Args:
-        points: At least three, world units.
-        radius: World units.
-        iterations: Gauss-Newton steps.
-    """
-    centre = points.mean(axis=0) - np.array([0.0, 0.0, radius])
-    for i in range(iterations):
-        offsets = points - centre
-        length = np.linalg.norm(offsets, axis=1)
-        error = radius - length
-        kept = np.abs(error) <= max(3.0 * float(np.median(np.abs(error))), 0.05 * radius) if i >= 5 else slice(None)
-        step, *_ = np.linalg.lstsq(-(offsets / length[:, None])[kept], error[kept], rcond=None)
-        centre = centre + step
-        if i >= 5 and np.abs(step).max() < 1e-9:
-            break
-    return centre

@@ -58,7 +58,7 @@ class OrbitOptions(FlightOptions):
     columns: int | None = option(None, "panels in a row", metavar="N", group=LOOK)
     labels: bool = option(True, "do not name the panels in the picture", flag="--no-labels", group=LOOK)
     geometry_size: int | None = option(None, "width behind depth, opacity and normals panels", metavar="PX", group=LOOK)
-    fps: float = option(30.0, "frames a second (default: 30)", metavar="N", group=LOOK)
+    fps: float = option(30.0, "frames per second (default: 30)", metavar="N", group=LOOK)
     speed: str = option(
         "auto",
         "exact (every sample), guided (around the surface), baked (interpolated, checked against guided), "

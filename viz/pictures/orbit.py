@@ -49,8 +49,8 @@ def render_orbit(
 
     Args:
         head: Who is drawn.
-        cameras: One a frame, all of one size.
-        gazes: One a frame, head frame.
+        cameras: One per frame, all of one size.
+        gazes: One per frame, head frame.
         panels: Names from `gazenerf.viz.pictures.panels.PANELS`.
         reference: Draws the `reference` panel.
         columns: Panels in a row; chosen when None.
@@ -69,7 +69,7 @@ def render_orbit(
     if not cameras:
         raise UserError("no frames to render; give --frames 1 or more")
     if len(cameras) != len(gazes):
-        raise ValueError(f"one gaze a camera: got {len(cameras)} cameras and {len(gazes)} gazes")
+        raise ValueError(f"one gaze per camera: got {len(cameras)} cameras and {len(gazes)} gazes")
     if len({(camera.width, camera.height) for camera in cameras}) != 1:
         raise ValueError("the cameras of one orbit must have one size")
 
@@ -104,10 +104,10 @@ def orbit_sidecar(
 
     Args:
         bound: The field at any gaze of the orbit; names the subject and weights.
-        cameras: One a frame.
-        gazes: One a frame.
+        cameras: One per frame.
+        gazes: One per frame.
         panels: What every frame shows.
-        fps: Frames a second.
+        fps: Frames per second.
         about: More to keep, such as the names of the paths.
     """
     return {

@@ -18,7 +18,7 @@ from gazenerf.files import whole_file, whole_folder
 
 KINDS: tuple[str, ...] = (".mp4", ".gif", ".webp", ".png")
 GIF_FASTEST = 50.0
-"""Frames a second; players slow a GIF down beyond this."""
+"""Frames per second; players slow a GIF down beyond this."""
 
 SLOWEST_FPS, MOST_FPS = 0.1, 240.0
 _STOPPED = "ffmpeg could not finish the video as {}; check the free space at --out, or write .webp or a PNG sequence"
@@ -70,7 +70,7 @@ def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float = 25.
     Args:
         path: See the module's notes.
         frames: (H, W, 3) uint8 sRGB, all of one size.
-        fps: Frames a second; PNG sequences have none.
+        fps: Frames per second; PNG sequences have none.
         crf: H.264 quality, 0 lossless to 51 worst.
 
     Returns:

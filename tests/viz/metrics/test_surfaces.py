@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from gazenerf.evaluation.face_crop import face_crop
+from gazenerf.export.mesh.sphere_fit import fit_sphere
 from gazenerf.geometry import Camera
 from gazenerf.geometry.gaze import rotation_y
 from gazenerf.heads.analytic import AnalyticField
@@ -16,7 +17,6 @@ from gazenerf.viz.metrics.surface_fit import Alignment, SurfaceSamples, align
 from gazenerf.viz.metrics.surfaces import (
     NAMES,
     measure_surfaces,
-    sphere_centre,
     surface_errors,
 )
 from gazenerf.viz.reference.views import ReferenceView
@@ -82,16 +82,16 @@ def test_what_one_side_lacks_is_told_from_what_it_has_too_much():
     assert surface_agreement(inside_out, whole, 0.1).normal_consistency == pytest.approx(-1.0)
 
 
-def test_sphere_centre_from_a_front_with_noise_and_some_lid():
+def test_a_sphere_of_known_radius_from_a_front_with_noise_and_some_lid():
     rng = np.random.default_rng(0)
     truth = np.array([0.3, 0.1, 0.7])
     front = sphere(0.12, 4000, 0).points
     front = truth + front[front[:, 2] > 0.06]
-    assert np.abs(sphere_centre(front, 0.12) - truth).max() < 1e-6
+    assert np.abs(fit_sphere(front, radius=0.12).centre - truth).max() < 1e-6
     noisy = front + rng.normal(0.0, 0.002, front.shape)
-    assert np.abs(sphere_centre(noisy, 0.12) - truth).max() < 2e-3
+    assert np.abs(fit_sphere(noisy, radius=0.12).centre - truth).max() < 2e-3
     lid = np.column_stack([rng.uniform(0.2, 0.4, 150), rng.uniform(0.15, 0.2, 150), np.full(150, 0.85)])
-    assert np.abs(sphere_centre(np.concatenate([front, lid]), 0.12) - truth).max() < 1e-3
+    assert np.abs(fit_sphere(np.concatenate([front, lid]), radius=0.12).centre - truth).max() < 1e-3
 
 
 def view(size: int) -> ReferenceView:

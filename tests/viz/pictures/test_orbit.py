@@ -195,7 +195,7 @@ def test_panels_that_cannot_be_drawn_are_refused_before_rendering(head, log, pan
 def test_no_frames_and_unmatched_paths(head):
     with pytest.raises(UserError, match="--frames"):
         render_orbit(head, [], [])
-    with pytest.raises(ValueError, match="one gaze a camera"):
+    with pytest.raises(ValueError, match="one gaze per camera"):
         render_orbit(head, circle(3), hold(2))
     with pytest.raises(ValueError, match="one size"):
         render_orbit(head, [Camera.neutral(8), Camera.neutral(9)], hold(2))
