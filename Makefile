@@ -7,7 +7,7 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet --constraint constraints.txt
 TORCH_SOURCE := $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX))
 
-.PHONY: demo test lint setup pictures clean
+.PHONY: demo test lint setup pictures dist clean
 .DELETE_ON_ERROR:
 
 demo: setup
@@ -30,6 +30,10 @@ pictures: setup
 	$(BIN)/gazenerf sheet --out docs/images/gaze-grid.png --kind gaze-grid --size 256 --overwrite
 	rm docs/images/*.webp.json
 	$(BIN)/python scripts/build_command_reference.py
+
+# sdist and wheel; LINKS=https://host/owner/gazenerf/blob/main makes the links of README.md absolute for an index
+dist: .venv/.dev
+	$(BIN)/python scripts/build_distributions.py $(if $(LINKS),--links $(LINKS))
 
 setup: .venv/.installed .venv/.libraries
 

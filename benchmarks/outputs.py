@@ -79,7 +79,9 @@ COMMANDS: dict[str, list[str]] = {
 }  # fmt: skip
 """Name of a folder to the words of a command; `{}` is that folder, `{root}` the one around all of them."""
 
-VARYING = re.compile(r"seconds|made|versions|about\.source|file|minutes|command|software|libraries|meaning|label|group")
+VARYING = re.compile(
+    r"seconds|made|versions|about\.source|file|minutes|command|software|libraries|meaning|label|group|options"
+)
 """Keys of JSON files whose values are times, versions, paths or words for people."""
 
 LOOSER = 50.0

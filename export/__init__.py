@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import importlib
 import warnings
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from gazenerf.lazy import lazy_names
 
 if TYPE_CHECKING:
     from gazenerf.export.formats.datasets import write_dataset
@@ -14,22 +15,17 @@ if TYPE_CHECKING:
 
 __all__ = ["MeshOptions", "MeshReport", "PartMesh", "extract_part", "mesh_subject", "write_dataset"]
 
-_HOMES = {
-    "MeshOptions": "options",
-    "MeshReport": "pipeline",
-    "PartMesh": "part_mesh",
-    "extract_part": "part_mesh",
-    "mesh_subject": "pipeline",
-    "write_dataset": "formats.datasets",
-}
-"""Name to the module that defines it; modules are loaded when a name is first used."""
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module 'gazenerf.export' has no attribute {name!r}")
-    return getattr(importlib.import_module(f"gazenerf.export.{_HOMES[name]}"), name)
-
+__getattr__ = lazy_names(
+    "gazenerf.export",
+    {
+        "MeshOptions": "options",
+        "MeshReport": "pipeline",
+        "PartMesh": "part_mesh",
+        "extract_part": "part_mesh",
+        "mesh_subject": "pipeline",
+        "write_dataset": "formats.datasets",
+    },
+)
 
 if __name__ == "export":
     warnings.warn("`export` is now `gazenerf.export`; the old name goes in 0.3", DeprecationWarning, stacklevel=2)

@@ -6,8 +6,9 @@ picture that shows itself. Everything is loaded when first used, so `import gaze
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from gazenerf.lazy import lazy_names
 
 if TYPE_CHECKING:
     from gazenerf.geometry import Camera, Gaze
@@ -19,21 +20,17 @@ __version__ = "0.2.0"
 
 __all__ = ["Camera", "Gaze", "Head", "Subject", "__version__", "bundled_subjects", "load"]
 
-_HOMES = {
-    "Camera": "gazenerf.geometry",
-    "Gaze": "gazenerf.geometry",
-    "Head": "gazenerf.heads",
-    "Subject": "gazenerf.subjects",
-    "bundled_subjects": "gazenerf.subjects",
-    "load": "gazenerf.loading",
-}
-"""Name to the module that defines it."""
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module 'gazenerf' has no attribute {name!r}")
-    return getattr(importlib.import_module(_HOMES[name]), name)
+__getattr__ = lazy_names(
+    __name__,
+    {
+        "Camera": "geometry",
+        "Gaze": "geometry",
+        "Head": "heads",
+        "Subject": "subjects",
+        "bundled_subjects": "subjects",
+        "load": "loading",
+    },
+)
 
 
 def __dir__() -> list[str]:

@@ -8,6 +8,7 @@ the field's type: `tuple[str, ...]` takes several words, `tuple[float, float]` t
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass
 from pathlib import Path
@@ -65,9 +66,15 @@ def options_of(kind: type) -> dict[str, Option]:
     return {field.name: field.metadata[KEY] for field in dataclasses.fields(kind) if KEY in field.metadata}
 
 
-def to_dict(options: object) -> dict[str, Any]:
-    """The values of an options dataclass as JSON holds them."""
-    return {field.name: _plain(getattr(options, field.name)) for field in dataclasses.fields(options)}  # type: ignore[arg-type]
+def to_dict(options: object, kind: type | None = None) -> dict[str, Any]:
+    """The values of an options dataclass as JSON holds them.
+
+    Args:
+        options: The options.
+        kind: A class that they inherit from, for its fields alone.
+    """
+    fields = dataclasses.fields(kind or options)  # type: ignore[arg-type]
+    return {field.name: _plain(getattr(options, field.name)) for field in fields}
 
 
 def _plain(value: Any) -> Any:
@@ -77,4 +84,6 @@ def _plain(value: Any) -> Any:
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, (tuple, list)):
         return [_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
     return value

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import importlib
 import warnings
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from gazenerf.lazy import lazy_names
 
 if TYPE_CHECKING:
     from gazenerf.viz.check.compare import compare_reports
@@ -41,32 +42,27 @@ __all__ = [
     "write_video",
 ]
 
-_HOMES = {
-    "CheckOptions": "check.options",
-    "CheckResult": "check.result",
-    "Definition": "metrics.definitions",
-    "FixedReference": "metrics.reference",
-    "FramesResult": "check.frames_check",
-    "Metric": "metrics.definitions",
-    "check_frames": "check.frames_check",
-    "check_subject": "check.field",
-    "compare_reports": "check.compare",
-    "error_mesh": "report.error_mesh",
-    "read_frames": "check.frames",
-    "render_orbit": "pictures.orbit",
-    "write_comparison": "report.comparison",
-    "write_frames_report": "report.frames_report",
-    "write_report": "report.write",
-    "write_video": "pictures.video",
-}
-"""Name to the module that defines it; modules are loaded when a name is first used."""
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module 'gazenerf.viz' has no attribute {name!r}")
-    return getattr(importlib.import_module(f"gazenerf.viz.{_HOMES[name]}"), name)
-
+__getattr__ = lazy_names(
+    "gazenerf.viz",
+    {
+        "CheckOptions": "check.options",
+        "CheckResult": "check.result",
+        "Definition": "metrics.definitions",
+        "FixedReference": "metrics.reference",
+        "FramesResult": "check.frames_check",
+        "Metric": "metrics.definitions",
+        "check_frames": "check.frames_check",
+        "check_subject": "check.field",
+        "compare_reports": "check.compare",
+        "error_mesh": "report.error_mesh",
+        "read_frames": "check.frames",
+        "render_orbit": "pictures.orbit",
+        "write_comparison": "report.comparison",
+        "write_frames_report": "report.frames_report",
+        "write_report": "report.write",
+        "write_video": "pictures.video",
+    },
+)
 
 if __name__ == "viz":
     warnings.warn("`viz` is now `gazenerf.viz`; the old name goes in 0.3", DeprecationWarning, stacklevel=2)

@@ -26,7 +26,7 @@ from gazenerf.geometry.cameras import NEUTRAL_DISTANCE, NEUTRAL_FOV
 from gazenerf.geometry.flight import CAMERA, FlightOptions
 from gazenerf.geometry.paths import CAMERA_PATHS
 from gazenerf.heads.interface import PARTS, BoundField, Part, RenderedView
-from gazenerf.options import option
+from gazenerf.options import option, to_dict
 from gazenerf.progress import Progress, silent
 
 LAYOUTS = ("nerfstudio", "colmap")
@@ -194,6 +194,7 @@ def write_dataset(
             for name, text in colmap_model(metric, names, cloud).items():
                 (model / name).write_text(text, encoding="ascii")
         facts = {"part": part, "pictures": len(cameras), "layouts": list(layouts), "points": len(everything.points)}
+        facts |= {"options": to_dict(options, DatasetOptions)}
         pixel = {"pixel_convention": "the centre of the upper left pixel is (0.5, 0.5)"}
         write_sidecar(folder / "dataset.json", common_facts(bound) | facts | pixel)
     return written

@@ -22,6 +22,7 @@ from gazenerf.export.formats.volumes import write_volume
 from gazenerf.export.options import MeshOptions
 from gazenerf.export.part_mesh import PartMesh
 from gazenerf.heads.interface import BoundField
+from gazenerf.options import to_dict
 
 Facts = dict[str, Any]
 """What a sidecar says, as JSON holds it."""
@@ -114,7 +115,7 @@ def write_part(
     if extracted.volume is not None:
         for kind in options.volumes:
             write_volume(extracted.volume, metres, kind, folder / f"{name}.{kind}")
-    about = sidecar(extracted, bound) | (measured or {})
+    about = sidecar(extracted, bound) | (measured or {}) | {"options": to_dict(options, MeshOptions)}
     if "stl" in formats:
         about["stl_units"] = "millimetres"
     write_sidecar(folder / f"{name}.json", about)

@@ -15,6 +15,7 @@ from gazenerf.errors import UserError
 from gazenerf.geometry import Gaze
 from gazenerf.head_model import HeadMesh, ReferenceHead
 from gazenerf.heads.interface import BoundField, HeadField, Part
+from gazenerf.options import to_dict
 from gazenerf.progress import Progress, silent
 from gazenerf.subjects import Subject
 from gazenerf.viz.check.options import CheckOptions
@@ -272,6 +273,7 @@ def _about(bound: BoundField, mesh: HeadMesh, options: CheckOptions, eyes: EyeSw
         "iris_size_px": None if eyes is None else max(options.pixels, IRIS_SIZE),
         "views": options.view_count,
         "seed": options.seed,
+        "options": to_dict(options, CheckOptions),
         "metres_per_unit": bound.metres_per_unit,
         "alignment": "none: field and reference share the world frame; chamfer_aligned_mm and "
         "face_chamfer_aligned_mm alone are after a rigid fit",

@@ -5,18 +5,18 @@ Definitions: docs/consistency-of-others.md.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from gazenerf.progress import Progress, silent
 from gazenerf.viz.check.frames import Frame, FrameFolder
-from gazenerf.viz.check.options import check_seed, crossed
+from gazenerf.viz.check.measured import Measured
+from gazenerf.viz.check.options import check_seed
 from gazenerf.viz.check.result import plain
 from gazenerf.viz.metrics.colmap import StructureFromMotion, run_colmap, unavailable
-from gazenerf.viz.metrics.definitions import Metric, check_names
+from gazenerf.viz.metrics.definitions import Metric
 from gazenerf.viz.metrics.families import FRAMES_DEFINITIONS, FRAMES_VERSION, measured
 from gazenerf.viz.metrics.frame_strip import RING_FRAMES, RING_STEP_DEGREES, Strip, epipolar_strip
 from gazenerf.viz.metrics.frame_warps import Warp, warp_frames
@@ -28,7 +28,7 @@ STEPS = 4
 
 
 @dataclass(frozen=True)
-class FramesResult:
+class FramesResult(Measured):
     """Everything a report on frames shows.
 
     Attributes:
@@ -45,6 +45,7 @@ class FramesResult:
         about: Source, sizes, seed.
     """
 
+    definitions: ClassVar = FRAMES_DEFINITIONS
     metrics: tuple[Metric, ...]
     frames: tuple[Frame, ...]
     tsed: Tsed
@@ -55,23 +56,6 @@ class FramesResult:
     unmeasured: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     about: dict[str, Any] = field(default_factory=dict)
-
-    def metric(self, name: str) -> Metric:
-        """A metric by name.
-
-        Raises:
-            UserError: there is none of that name.
-        """
-        check_names([name], FRAMES_DEFINITIONS)
-        return next(metric for metric in self.metrics if metric.name == name)
-
-    def crossed(self, fail_on: Sequence[str]) -> tuple[str, ...]:
-        """Names of the metrics that are worse than a limit, or were not measured; limits as NAME=X.
-
-        Raises:
-            UserError: not NAME=NUMBER, or there is no such metric.
-        """
-        return crossed(self.metrics, fail_on)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for report.json; NaN becomes null, pictures are left out."""

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from gazenerf.heads.interface import GeometryView, Part
-from gazenerf.viz.check.options import crossed
+from gazenerf.viz.check.measured import Measured
 from gazenerf.viz.metrics.agreement import Agreement
-from gazenerf.viz.metrics.definitions import Metric, check_names
+from gazenerf.viz.metrics.definitions import Metric
 from gazenerf.viz.metrics.drift import Drift
 from gazenerf.viz.metrics.eyes import EyeSweep
 from gazenerf.viz.metrics.families import CHECK_DEFINITIONS, CHECK_VERSION
@@ -54,7 +53,7 @@ class CheckedView:
 
 
 @dataclass(frozen=True)
-class CheckResult:
+class CheckResult(Measured):
     """Everything a report shows.
 
     Attributes:
@@ -76,6 +75,7 @@ class CheckResult:
         orbit: Pictures of an orbit against their cameras, None when not measured.
     """
 
+    definitions: ClassVar = CHECK_DEFINITIONS
     metrics: tuple[Metric, ...]
     views: tuple[CheckedView, ...]
     pairs: tuple[tuple[str, str, Reprojection], ...]
@@ -91,23 +91,6 @@ class CheckResult:
     strip_degrees: tuple[float, float] = (math.nan, math.nan)
     notes: tuple[str, ...] = ()
     orbit: OrbitPictures | None = None
-
-    def metric(self, name: str) -> Metric:
-        """A metric by name.
-
-        Raises:
-            UserError: there is none of that name.
-        """
-        check_names([name], CHECK_DEFINITIONS)
-        return next(metric for metric in self.metrics if metric.name == name)
-
-    def crossed(self, fail_on: Sequence[str]) -> tuple[str, ...]:
-        """Names of the metrics that are worse than a limit, or were not measured; limits as NAME=X.
-
-        Raises:
-            UserError: not NAME=NUMBER, or there is no such metric.
-        """
-        return crossed(self.metrics, fail_on)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for report.json; NaN becomes null, pictures are left out."""

@@ -18,7 +18,7 @@ from gazenerf.geometry.paths import EYE_MIDPOINT, GAZE_PATHS, gaze_path
 from gazenerf.head_model import ReferenceHead
 from gazenerf.heads.choose import RenderPath, choose_path
 from gazenerf.heads.interface import HeadField
-from gazenerf.options import option
+from gazenerf.options import option, to_dict
 from gazenerf.progress import Progress, counted, silent
 from gazenerf.viz.pictures.orbit import frame_size, orbit_sidecar, render_orbit, sidecar_path, write_sidecar
 from gazenerf.viz.pictures.panels import PANELS, check_panels
@@ -190,7 +190,7 @@ def make_orbit(head: HeadField, plan: OrbitPlan, progress: Progress = silent) ->
     bound = path.head.at(gazes[0])
     about = {
         "camera_path": options.camera_path, "gaze_path": plan.gaze_path, "width": width, "height": height,
-        "speed": path.name,
+        "speed": path.name, "options": to_dict(options, OrbitOptions),
     }  # fmt: skip
     sidecar = orbit_sidecar(bound, cameras, gazes, panels=options.panels, fps=options.fps, about=about)
     written = write_sidecar(plan.out, sidecar)
