@@ -22,8 +22,8 @@ from gazenerf.export.appearance.points import PointCloud, write_points
 from gazenerf.export.formats.files import common_facts, write_sidecar
 from gazenerf.files import refuse_existing, whole_folder
 from gazenerf.geometry import Camera
+from gazenerf.geometry.camera_options import CAMERA, CameraPathOptions
 from gazenerf.geometry.cameras import NEUTRAL_DISTANCE, NEUTRAL_FOV
-from gazenerf.geometry.flight import CAMERA, FlightOptions
 from gazenerf.geometry.paths import CAMERA_PATHS
 from gazenerf.heads.interface import PARTS, BoundField, Part, RenderedView
 from gazenerf.options import option, to_dict
@@ -43,14 +43,14 @@ RINGS = "rings"
 
 
 @dataclass(frozen=True, kw_only=True)
-class DatasetOptions(FlightOptions):
+class DatasetOptions(CameraPathOptions):
     """A dataset of pictures.
 
     Attributes:
         part: Which picture.
         layouts: Some of `LAYOUTS`.
         points: How many surface points, about.
-        camera_path: `rings`, or as for `FlightOptions`.
+        camera_path: `rings`, or as for `CameraPathOptions`.
         frames: Number of pictures.
     """
 

@@ -145,18 +145,19 @@ def run_stage(stage: Stage, head: Head) -> Outcome:
 
 def make_orbit(options: orbit.Options, head: Head, progress: Progress) -> tuple[Measured, bool]:
     """The orbit."""
-    from gazenerf.viz.pictures import flight
+    from gazenerf.viz.pictures.make_orbit import make_orbit as draw
+    from gazenerf.viz.pictures.make_orbit import plan_orbit
 
-    made = flight.make_orbit(head, flight.plan_orbit(options.out, options, options.overwrite), progress)
+    made = draw(head, plan_orbit(options.out, options, options.overwrite), progress)
     size = f"{made.frames} frames of {made.width}x{made.height}, drawn by the {made.path.name} path"
     return {"subject": made.subject, "weights": made.weights, "video": size}, False
 
 
 def make_sheet(options: sheet.Options, head: Head, progress: Progress) -> tuple[Measured, bool]:
     """The gaze grid."""
-    from gazenerf.viz.pictures import contact
+    from gazenerf.viz.pictures.make_sheet import make_sheet as draw
 
-    made = contact.make_sheet(head, options.out, options, overwrite=options.overwrite, progress=progress)
+    made = draw(head, options.out, options, overwrite=options.overwrite, progress=progress)
     return {"picture": f"{made.tiles} gazes, {made.width}x{made.height}"}, False
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gazenerf.cli.arguments import SourceArguments, VideoArguments
-from gazenerf.viz.pictures.flight import OrbitOptions
+from gazenerf.viz.pictures.make_orbit import OrbitOptions
 
 HELP = "render a video that flies around a head while its eyes turn"
 
@@ -18,7 +18,7 @@ class Options(OrbitOptions, VideoArguments, SourceArguments):
 def run(options: Options) -> int:
     """Render, write the video and its sidecar, and print what was written."""
     from gazenerf.cli.common import showing_progress, summary_table, warn
-    from gazenerf.viz.pictures.flight import make_orbit, plan_orbit
+    from gazenerf.viz.pictures.make_orbit import make_orbit, plan_orbit
 
     plan = plan_orbit(options.out, options, options.overwrite)
     head = options.load()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gazenerf.cli.arguments import PictureArguments, SourceArguments
-from gazenerf.viz.pictures.contact import SheetOptions
+from gazenerf.viz.pictures.make_sheet import SheetOptions
 
 HELP = "put many gazes or views of a head into one labelled picture"
 
@@ -18,7 +18,7 @@ class Options(SheetOptions, PictureArguments, SourceArguments):
 def run(options: Options) -> int:
     """Draw the tiles, write the picture, and print what was written."""
     from gazenerf.cli.common import showing_progress, summary_table, warn
-    from gazenerf.viz.pictures.contact import check_sheet, make_sheet, sheet_gazes
+    from gazenerf.viz.pictures.make_sheet import check_sheet, make_sheet, sheet_gazes
 
     check_sheet(options.out, options, options.overwrite)
     head = options.load()

@@ -11,7 +11,7 @@ from gazenerf.geometry import Camera
 from gazenerf.head_model.interface import HeadMesh
 
 SAMPLES = 64
-"""Light paths per pixel unless told otherwise; leaves about 2 of 255 levels of noise on skin."""
+"""Light paths per pixel by default; leaves about 2 of 255 levels of noise on skin."""
 
 MAX_SAMPLES = 4096
 

@@ -22,7 +22,7 @@ from gazenerf.subjects import Codes, Subject
 from gazenerf.training.gaze_training import VISIBLE_SHARE
 
 IRIS_GAZES: tuple[tuple[float, float], ...] = ((0.0, 0.0), (12.0, -22.0), (-12.0, 22.0))
-"""Pitch and yaw, degrees, at which the iris is triangulated, unless told otherwise."""
+"""Pitch and yaw, degrees, at which the iris is triangulated by default."""
 
 MIN_EYE_PIXELS = 20
 """Captures that show less of the eyes do not count for the eyes."""

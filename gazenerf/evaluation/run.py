@@ -1,4 +1,4 @@
-"""An evaluation as people ask for it: captures kept out of training to a report."""
+"""An evaluation from its options: captures kept out of training to a report."""
 
 from __future__ import annotations
 

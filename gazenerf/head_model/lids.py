@@ -15,7 +15,7 @@ LID_PITCH, LID_YAW = np.deg2rad(28.0), np.deg2rad(38.0)
 """Gaze angles at which the eyeLook lid shapes are fully on."""
 
 LID_LIMIT = 1.2
-"""Largest eyeLook coefficient that a gaze asks for."""
+"""Largest eyeLook coefficient that a gaze leads to."""
 
 
 def lid_coefficients(names: Sequence[str], gaze: Gaze) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Which path draws a flight: baked where it pays and is measured to be the same head, else the field's own."""
+"""Which path renders an orbit: baked where it pays and is measured to be the same head, else the field's own."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ LEAST_PSNR = 38.0
 """Decibels by which a baked picture must agree with the guided one."""
 
 SAMPLED = 3
-"""Frames drawn both ways before a baked flight."""
+"""Frames rendered both ways before a baked orbit."""
 
 
 @dataclass(frozen=True)
 class RenderPath:
-    """How a flight is drawn.
+    """How an orbit is rendered.
 
     Attributes:
         name: One of `SPEEDS` but `auto`.
@@ -38,7 +38,7 @@ class RenderPath:
         bake: What the bake cost, None unless baked.
         psnr: Least agreement (dB) with the guided path on sampled frames, None when not measured.
         check_seconds: Wall time of that measurement.
-        note: Why another path was taken than the one that was asked for; empty when it was not.
+        note: Why another path was taken than the chosen one; empty when it was not.
     """
 
     name: str
@@ -66,9 +66,9 @@ def choose_path(
     speed: str = "auto",
     least_psnr: float = LEAST_PSNR,
 ) -> RenderPath:
-    """How to draw a flight around a head.
+    """How to render an orbit around a head.
 
-    A bake is compared with the guided path on `SAMPLED` frames spread over the flight. Where it is not
+    A bake is compared with the guided path on `SAMPLED` frames spread over the orbit. Where it is not
     the same picture, or cannot be made, another path is taken and `RenderPath.note` says why.
 
     Args:

@@ -40,7 +40,7 @@ class GeometryView:
         depth: (H, W) float32 Euclidean distance from the camera centre in world units, divided by
             opacity; NaN where opacity is below `OPACITY_FLOOR`.
         normals: (H, W, 3) float32 unit outward normals in the world frame, NaN where there is no
-            surface; None when not asked for.
+            surface; None when not computed.
     """
 
     camera: Camera
@@ -121,7 +121,7 @@ class BoundField(Protocol):
 
     @property
     def parts(self) -> tuple[Part, ...]:
-        """What can be asked for: `head`, and `face` and `eyes` where the field has two streams."""
+        """The parts that there are: `head`, and `face` and `eyes` where the field has two streams."""
         ...
 
     @property

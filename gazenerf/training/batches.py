@@ -18,7 +18,7 @@ EYE_CROP = (12, 32)
 
 @dataclass
 class RayTargets:
-    """What one capture asks of a feature map of size S x S.
+    """What a feature map should show of one capture of size S x S.
 
     Attributes:
         rays: (R,) int32 flat feature indices whose block or a neighbour shows the head.

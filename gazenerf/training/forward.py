@@ -21,7 +21,7 @@ class TrainingRender:
         image: (B, 3, H, W) the merged picture.
         eyes_image: (B, 3, h, w) the eyes stream on its crop, or None.
         eyes_window: (B, 2) row and column of that crop in picture pixels.
-        face_image: (B, 3, H, W) the face stream, or None when not asked for.
+        face_image: (B, 3, H, W) the face stream, or None when not rendered.
         terms: Unweighted scalar losses `depth`, `surface`, `opacity`, `empty`, `eyeball` that apply.
     """
 

@@ -22,13 +22,13 @@ SCENE_RADIUS = 2.2
 
 FRONT, BEHIND, SOLID = 0.03, (0.015, 0.12), 40.0
 """World units in front of a captured surface that are empty, the layer behind it that is solid, and
-the density per world unit asked for in that layer."""
+the density per world unit demanded in that layer."""
 
 EYE_OUTSIDE, EYE_INSIDE = 1.15, 0.97
-"""In eyeball radii: density beyond the first (the cornea bulges) is penalised, within the second asked for."""
+"""In eyeball radii: density beyond the first (the cornea bulges) is penalised, within the second demanded."""
 
 EYE_DENSITY = 40.0
-"""Density per world unit asked for inside an eyeball."""
+"""Density per world unit demanded inside an eyeball."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""A training run as people ask for it: captures, preset and settings to a trained field."""
+"""A training run from its options: captures, preset and settings to a trained field."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from gazenerf.geometry import Camera, Gaze
 from gazenerf.geometry.paths import GazeRange
 from gazenerf.heads.interface import GeometryView, RenderedView
 from gazenerf.subjects import Codes, Subject
-from gazenerf.viz.pictures import contact
+from gazenerf.viz.pictures import make_sheet as contact
 
 SUBJECT = Subject("nobody", Codes(np.zeros(2), np.zeros(1), np.zeros(1), np.zeros(27)))
 

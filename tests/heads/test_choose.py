@@ -1,4 +1,4 @@
-"""The path of a flight is chosen by measurement, and a bad bake is refused aloud."""
+"""The path of an orbit is chosen by measurement, and a bad bake is refused aloud."""
 
 from __future__ import annotations
 

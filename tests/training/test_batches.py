@@ -1,4 +1,4 @@
-"""What a capture asks of a feature map."""
+"""What a feature map should show of a capture."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ def render_orbit(
     geometry_size: int | None = None,
     depth_range: tuple[float, float] = DEPTH_RANGE,
 ) -> Iterator[np.ndarray]:
-    """Frames of a flight, drawn one by one as they are asked for.
+    """Frames of an orbit, rendered one by one as they are taken.
 
     The field is bound again only when the gaze changes, and a frame whose camera and gaze are those
     of the frame before is not drawn twice.

@@ -1,4 +1,4 @@
-"""Folders of strangers: read as they mean, refused in one line when they mean harm or nothing."""
+"""Untrusted folders: read as they mean, refused in one line when they mean harm or nothing."""
 
 from __future__ import annotations
 

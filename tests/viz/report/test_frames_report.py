@@ -1,4 +1,4 @@
-"""The page on somebody else's frames."""
+"""The page on frames of another program."""
 
 from __future__ import annotations
 

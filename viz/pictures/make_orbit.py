@@ -1,4 +1,4 @@
-"""An orbit as people ask for it: planned, drawn and written with its sidecar."""
+"""An orbit from its options: planned, drawn and written with its sidecar."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from gazenerf.errors import UserError
 from gazenerf.files import refuse_existing
 from gazenerf.geometry import Camera, Gaze
-from gazenerf.geometry.flight import FlightOptions
+from gazenerf.geometry.camera_options import CameraPathOptions
 from gazenerf.geometry.paths import EYE_MIDPOINT, GAZE_PATHS, gaze_path
 from gazenerf.head_model import ReferenceHead
 from gazenerf.heads.choose import RenderPath, choose_path
@@ -30,7 +30,7 @@ LOOK = "picture and file"
 
 
 @dataclass(frozen=True, kw_only=True)
-class OrbitOptions(FlightOptions):
+class OrbitOptions(CameraPathOptions):
     """What an orbit shows.
 
     Attributes:
@@ -74,7 +74,7 @@ class OrbitPlan:
     """An orbit before a head is known.
 
     Attributes:
-        options: What was asked for.
+        options: What it shows.
         out: Where it goes; see `gazenerf.viz.pictures.video`.
         cameras: One per frame.
         gaze_path: The name of the gaze path.

@@ -1,4 +1,4 @@
-"""A sheet as people ask for it: gazes and cameras planned, drawn and written as one picture."""
+"""A sheet from its options: gazes and cameras planned, drawn and written as one picture."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from PIL import Image
 from gazenerf.errors import UserError
 from gazenerf.files import refuse_existing, whole_file
 from gazenerf.geometry import Camera, Gaze
-from gazenerf.geometry.flight import CAMERA, CameraOptions
+from gazenerf.geometry.camera_options import CAMERA, CameraOptions
 from gazenerf.geometry.paths import EYE_MIDPOINT, GazeRange
 from gazenerf.head_model import ReferenceHead
 from gazenerf.heads.interface import HeadField

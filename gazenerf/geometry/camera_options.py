@@ -1,4 +1,4 @@
-"""Cameras as people ask for them: size and lens, and the path that they fly."""
+"""Options of cameras: size and lens of one, and the path of many."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class CameraOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FlightOptions(CameraOptions):
+class CameraPathOptions(CameraOptions):
     """A path of cameras.
 
     Attributes:
