@@ -74,7 +74,7 @@ class Subject:
     Attributes:
         name: Short name.
         codes: What the field is conditioned on.
-        head: Head-model parameters of the same person, None when unknown. They may differ from
+        head_codes: Head-model parameters of the same person, None when unknown. They may differ from
             `codes`, which training or fitting may have moved.
         camera: The camera the subject was seen from, None when unknown.
         gaze: The gaze the subject was seen with, head frame.
@@ -83,21 +83,21 @@ class Subject:
 
     name: str
     codes: Codes
-    head: Codes | None = None
+    head_codes: Codes | None = None
     camera: Camera | None = None
     gaze: Gaze = field(default_factory=Gaze)
     provenance: dict[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         sizes = "+".join(str(size) for size in self.codes.sizes)
-        known = "with" if self.head is not None else "without"
+        known = "with" if self.head_codes is not None else "without"
         return f"Subject({self.name!r}, {sizes} codes, {known} head-model parameters)"
 
     def save(self, path: str | Path) -> None:
         """Write one safetensors file with JSON metadata."""
         tensors = {f"codes.{name}": getattr(self.codes, name) for name in _CODES}
-        if self.head is not None:
-            tensors |= {f"head.{name}": getattr(self.head, name) for name in _CODES}
+        if self.head_codes is not None:
+            tensors |= {f"head.{name}": getattr(self.head_codes, name) for name in _CODES}
         about = {
             "name": self.name,
             "camera": None if self.camera is None else self.camera.to_dict(),

@@ -36,7 +36,7 @@ def main() -> None:
         subject = Subject(
             NAMES[person],
             codes,
-            head=codes,
+            head_codes=codes,
             camera=Camera.neutral(manifest["size"]),
             gaze=Gaze(),
             provenance={

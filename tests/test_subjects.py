@@ -49,7 +49,7 @@ def test_a_subject_comes_back_whole(tmp_path):
     subject = Subject("ada", codes(), codes(1), camera, Gaze(0.1, -0.2), {"trained": True, "person": 3})
     subject.save(tmp_path / "ada.safetensors")
     read = Subject.load(tmp_path / "ada.safetensors")
-    assert same(read.codes, subject.codes) and read.head is not None and same(read.head, codes(1))
+    assert same(read.codes, subject.codes) and read.head_codes is not None and same(read.head_codes, codes(1))
     assert (read.name, read.gaze, read.provenance) == (subject.name, subject.gaze, subject.provenance)
     assert read.camera is not None and read.camera.to_dict() == camera.to_dict()
 
@@ -57,7 +57,7 @@ def test_a_subject_comes_back_whole(tmp_path):
 def test_head_and_camera_may_be_unknown(tmp_path):
     Subject("bob", codes()).save(tmp_path / "b.safetensors")
     read = load_subject(tmp_path / "b.safetensors")
-    assert read.head is None and read.camera is None and read.gaze == Gaze()
+    assert read.head_codes is None and read.camera is None and read.gaze == Gaze()
 
 
 def test_bundled_names_come_first(tmp_path, monkeypatch):

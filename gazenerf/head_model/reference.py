@@ -35,10 +35,10 @@ class ReferenceHead:
         Returns:
             None where the subject carries no head-model parameters, or those of another model.
         """
-        if subject.head is None:
+        if subject.head_codes is None:
             return None
         model = load_head_model() if model is None else model
-        return cls(model, subject.head) if subject.head.sizes == model.code_sizes else None
+        return cls(model, subject.head_codes) if subject.head_codes.sizes == model.code_sizes else None
 
     def at(self, gaze: Gaze) -> HeadMesh:
         """The head as a mesh at a gaze (head frame), world frame and units; lids follow the gaze."""

@@ -32,7 +32,7 @@ def head_pictures(subject: Subject, size: tuple[int, int]) -> Iterator[Reference
 
     reference = ReferenceHead.of(subject)
     if reference is None:
-        known = "no head-model parameters" if subject.head is None else "the parameters of another head model"
+        known = "no head-model parameters" if subject.head_codes is None else "the parameters of another head model"
         raise UserError(f"{subject.name} has {known}; leave out the reference panel")
     posed: dict[Gaze, HeadMesh] = {}
     with Rasterizer(size) as rasterizer:

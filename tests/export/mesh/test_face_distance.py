@@ -18,7 +18,7 @@ from gazenerf.subjects import bundled_subjects, load_subject
 @pytest.fixture(scope="module")
 def reference():
     subject = load_subject(next(iter(bundled_subjects())))
-    return load_head_model().mesh(subject.head, Gaze())
+    return load_head_model().mesh(subject.head_codes, Gaze())
 
 
 def test_a_face_pushed_outward_reads_as_far_as_it_was_pushed(reference):

@@ -13,7 +13,7 @@ def subject() -> Subject:
     identity, expression, texture, _ = load_head_model().code_sizes
     light = light_code(np.array([0.0, 0.0, 1.0]), np.full(3, 1.5)).astype(np.float32)
     codes = Codes(np.zeros(identity), np.zeros(expression), np.zeros(texture), light)
-    return Subject("average", codes, head=codes)
+    return Subject("average", codes, head_codes=codes)
 
 
 def test_only_the_eyes_change_with_the_gaze_and_all_with_the_camera():
@@ -39,5 +39,5 @@ def test_subjects_without_a_head_model_are_refused():
     with pytest.raises(UserError, match="no head-model"), head_pictures(Subject("x", with_head.codes), (8, 8)):
         pass
     other = Codes(np.zeros(3), np.zeros(2), np.zeros(1), np.zeros(27))
-    with pytest.raises(UserError, match="another head model"), head_pictures(Subject("x", other, head=other), (8, 8)):
+    with pytest.raises(UserError, match="another head model"), head_pictures(Subject("x", other, head_codes=other), (8, 8)):
         pass
