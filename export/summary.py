@@ -6,6 +6,7 @@ import numpy as np
 
 from gazenerf.export.formats.files import Facts, WrittenPart
 from gazenerf.export.pipeline import MeshReport
+from gazenerf.export.surface.threshold import NEAR_MM
 
 
 def mesh_rows(report: MeshReport) -> dict[str, object]:
@@ -45,7 +46,10 @@ def _part_rows(part: str, written: WrittenPart) -> dict[str, object]:
     else:
         chosen = f"{threshold.level:g} per unit ({threshold.how})"
         if np.isfinite(threshold.depth_error_mm):
-            chosen += f", {threshold.depth_error_mm:.2f} mm median from the rendered depth"
+            chosen += (
+                f", {threshold.depth_error_mm:.2f} mm median from the rendered depth, "
+                f"{threshold.missing:.1%} of which has no surface within {NEAR_MM:g} mm"
+            )
         rows[f"{part} threshold"] = chosen
     kind = "watertight" if about["watertight"] else "open"
     rows[f"{part} mesh"] = f"{about['vertices']:,} vertices, {about['faces']:,} faces, {kind}"

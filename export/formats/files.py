@@ -163,7 +163,15 @@ def sidecar(extracted: PartMesh, bound: BoundField) -> Facts:
             "threshold_per_world_unit": threshold.level,
             "threshold_choice": threshold.how,
             "depth_disagreement_mm": None if np.isnan(threshold.depth_error_mm) else threshold.depth_error_mm,
-            "thresholds_tried": [{"level": at, "depth_disagreement_mm": error} for at, error in threshold.tried],
+            "share_of_rendered_depth_missing": None if np.isnan(threshold.missing) else threshold.missing,
+            "thresholds_tried": [
+                {
+                    "level": found.level,
+                    "depth_disagreement_mm": found.depth_error_mm,
+                    "share_of_rendered_depth_missing": found.missing,
+                }
+                for found in threshold.tried
+            ],
         }
     facts = common_facts(bound) | {
         "part": extracted.part,

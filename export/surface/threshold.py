@@ -1,4 +1,4 @@
-"""Which density is the surface: a number, a percentile, or the level that agrees with the field's own depth."""
+"""Which density is the surface: a number, a percentile, or the level whose surface is nearest to the rendered depth."""
 
 from __future__ import annotations
 
@@ -17,11 +17,39 @@ from gazenerf.heads.interface import BoundField, Part
 VIEWS = ((0.0, 0.0), (40.0, 5.0), (-40.0, -5.0))
 """Yaw and pitch, degrees, of the views that judge a threshold."""
 
+SIDES = ((85.0, 0.0), (-85.0, 0.0))
+"""Views added where ears are: of any part but the eyes, whose sides no picture shows."""
+
+NEAR_MM = 2.0
+"""Rendered depth without a surface this near counts as missing from a mesh."""
+
+CAP_MM = 10.0
+"""Distances count up to this, and a ray without a surface counts this much, so that an ear is not lost for a better
+median."""
+
 CANDIDATES = (3.0, 6.0, 12.0, 24.0, 48.0, 96.0)
 """Densities per world unit that `auto` tries where the volume reaches them; then two beside the best."""
 
 EMPTY = 1.0
 """Largest density, per world unit, of a volume that shows nothing: a tenth of a unit of it is 10 % opaque."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A level held against the depth that the field renders.
+
+    Attributes:
+        level: Density per world unit.
+        depth_error_mm: Median distance between surface and rendered expected depth along the rays that hit
+            both, millimetres; inf where none does.
+        missing: Share of the rendered depth that has no surface within `NEAR_MM`.
+        capped_mm: Mean distance over all rays that show depth, each at most `CAP_MM`; what the choice goes by.
+    """
+
+    level: float
+    depth_error_mm: float
+    missing: float
+    capped_mm: float
 
 
 @dataclass(frozen=True)
@@ -33,32 +61,41 @@ class Threshold:
         how: `auto`, `fixed` or `percentile`.
         depth_error_mm: Median distance between surface and rendered expected depth, millimetres;
             NaN when it was not measured.
-        tried: Every candidate's level and error.
+        missing: Share of the rendered depth without a surface within `NEAR_MM`; NaN when it was not measured.
+        tried: Every candidate.
     """
 
     level: float
     how: str
     depth_error_mm: float = float("nan")
-    tried: tuple[tuple[float, float], ...] = ()
+    missing: float = float("nan")
+    tried: tuple[Judged, ...] = ()
 
 
 def depth_views(bound: BoundField, part: Part, size: int = 96) -> list[tuple[Camera, np.ndarray]]:
     """Cameras and the field's expected depth (H, W) in them, for `depth_disagreement`."""
-    cameras = [Camera.orbit(float(np.deg2rad(yaw)), float(np.deg2rad(pitch)), size=size) for yaw, pitch in VIEWS]
+    views = VIEWS if part == "eyes" else VIEWS + SIDES
+    cameras = [Camera.orbit(float(np.deg2rad(yaw)), float(np.deg2rad(pitch)), size=size) for yaw, pitch in views]
     return [(camera, bound.render_geometry(camera, part).depth) for camera in cameras]
 
 
-def depth_disagreement(mesh: trimesh.Trimesh, views: list[tuple[Camera, np.ndarray]], metres_per_unit: float) -> float:
-    """Median |mesh depth - rendered depth| in millimetres over rays that hit both; inf where none does."""
+def judge(
+    level: float, mesh: trimesh.Trimesh, views: list[tuple[Camera, np.ndarray]], metres_per_unit: float
+) -> Judged:
+    """A mesh of a level against the depth (H, W) that cameras see, both ways: how far off, and how much is missing."""
     errors = []
     for camera, depth in views:
         rays_o, rays_d = camera.rays()
         seen = np.isfinite(depth)
         hit = cast_rays(mesh, rays_o[seen], rays_d[seen])
         errors.append(np.abs(hit - depth[seen]))
-    error = np.concatenate(errors)
-    error = error[np.isfinite(error)]
-    return float(np.median(error) * metres_per_unit * 1000.0) if error.size else float("inf")
+    error = 1000.0 * metres_per_unit * np.concatenate(errors)
+    if not error.size:
+        return Judged(level, float("inf"), 1.0, CAP_MM)
+    missing = float(np.mean(~(error <= NEAR_MM)))
+    capped = float(np.minimum(np.nan_to_num(error, nan=CAP_MM), CAP_MM).mean())
+    known = error[np.isfinite(error)]
+    return Judged(level, float(np.median(known)) if known.size else float("inf"), missing, capped)
 
 
 def choose_threshold(
@@ -98,16 +135,17 @@ def choose_threshold(
     tried = []
     for level in CANDIDATES:
         if level < 0.6 * largest:
-            tried.append((level, depth_disagreement(surface(level), views, bound.metres_per_unit)))
-    if not tried or not np.isfinite(min(error for _, error in tried)):
+            tried.append(judge(level, surface(level), views, bound.metres_per_unit))
+    if not tried or not np.isfinite(min(found.depth_error_mm for found in tried)):
         raise UserError(
             f"no automatic threshold fits the {part} volume, whose largest density is {largest:.3g}; give --threshold X"
         )
-    best = min(tried, key=lambda pair: pair[1])[0]
-    levels = [level for level, _ in tried]
+    levels = [found.level for found in tried]
+    best = min(tried, key=lambda found: found.capped_mm).level
     place = levels.index(best)
     for other in levels[max(place - 1, 0) : place] + levels[place + 1 : place + 2]:
         between = float(np.sqrt(best * other))
-        tried.append((between, depth_disagreement(surface(between), views, bound.metres_per_unit)))
-    level, error = min(tried, key=lambda pair: pair[1])
-    return Threshold(level, "auto", error, tuple(sorted(tried)))
+        tried.append(judge(between, surface(between), views, bound.metres_per_unit))
+    chosen = min(tried, key=lambda found: found.capped_mm)
+    ordered = tuple(sorted(tried, key=lambda found: found.level))
+    return Threshold(chosen.level, "auto", chosen.depth_error_mm, chosen.missing, ordered)

@@ -39,5 +39,8 @@ def test_subjects_without_a_head_model_are_refused():
     with pytest.raises(UserError, match="no head-model"), head_pictures(Subject("x", with_head.codes), (8, 8)):
         pass
     other = Codes(np.zeros(3), np.zeros(2), np.zeros(1), np.zeros(27))
-    with pytest.raises(UserError, match="another head model"), head_pictures(Subject("x", other, head_codes=other), (8, 8)):
+    with (
+        pytest.raises(UserError, match="another head model"),
+        head_pictures(Subject("x", other, head_codes=other), (8, 8)),
+    ):
         pass
