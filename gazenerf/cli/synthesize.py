@@ -6,6 +6,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from gazenerf.cores import usable_cores
 from gazenerf.data.synthesis import SynthesizeOptions, synthesize
 from gazenerf.options import option
 
@@ -18,9 +19,11 @@ class Options(SynthesizeOptions):
 
     Attributes:
         out: The folder; one of the same set is resumed.
+        workers: Processes that render; as many as there are cores by default.
     """
 
     out: Path = option(help="folder; one of the same set is resumed", metavar="DIR")
+    workers: int | None = option(None, "processes that render (default: one for each core)", metavar="N")
 
 
 def run(options: Options) -> int:
@@ -29,8 +32,9 @@ def run(options: Options) -> int:
     from gazenerf.cli.libraries import naming_missing_libraries
 
     started, total = time.perf_counter(), options.people * options.views
+    workers = usable_cores() if options.workers is None else options.workers
     with naming_missing_libraries(), showing_progress() as progress:
-        rendered = synthesize(options.out, options, progress)
+        rendered = synthesize(options.out, options, progress, workers)
     seconds = time.perf_counter() - started
     people, views, size = options.people, options.views, options.size
     rows: dict[str, object] = {

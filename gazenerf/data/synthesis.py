@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
+import atexit
+import multiprocessing
+import os
+import signal
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+import cv2
 import numpy as np
 
 from gazenerf.data.captures import Capture
@@ -88,21 +96,45 @@ def render_capture(renderer: Renderer, model: ParametricHead, view: View) -> Cap
     return Capture(raster.image, raster.parts, raster.depth, view.camera, view.gaze, view.codes, view.person, view.view)
 
 
-def synthesize(out: str | Path, options: SynthesizeOptions, progress: Progress = silent) -> int:
+@dataclass(frozen=True)
+class Shard:
+    """Captures that are rendered and written together.
+
+    Attributes:
+        person: Whose they are.
+        views: Their indices, one after another.
+    """
+
+    person: int
+    views: range
+
+    @property
+    def name(self) -> str:
+        """File name."""
+        return shard_name(self.person, self.views.start)
+
+
+def synthesize(out: str | Path, options: SynthesizeOptions, progress: Progress = silent, workers: int = 1) -> int:
     """Write captures to a folder; shards already there are kept.
 
     Args:
         out: The folder.
         options: What is written.
         progress: Told about captures.
+        workers: Processes that render, each a shard of `SHARD_VIEWS` captures at a time; the bytes are the same. A
+            script that asks for more than one keeps its own work under `if __name__ == "__main__":`, because each
+            process imports it.
 
     Returns:
         How many captures were rendered now.
 
     Raises:
-        UserError: impossible settings, a renderer that cannot start, or the folder holds another set.
+        UserError: impossible settings, a renderer that cannot start, a process that died, or the folder holds
+            another set.
     """
     options.check()
+    if workers < 1:
+        raise UserError(f"--workers must be at least 1, got {workers}")
     model, folder = load_head_model(), Path(out)
     opened, how = _open(options)
     with opened as drawing:
@@ -121,21 +153,83 @@ def synthesize(out: str | Path, options: SynthesizeOptions, progress: Progress =
                 "metres_per_unit": METRES_PER_UNIT,
             },
         )
-        done, rendered, total = 0, 0, options.people * options.views
-        for person in range(options.people):
-            for first in range(0, options.views, SHARD_VIEWS):
-                wanted = range(first, min(first + SHARD_VIEWS, options.views))
-                if (folder / shard_name(person, first)).is_file():
-                    done += len(wanted)
-                    continue
-                captures = []
-                for view in wanted:
-                    plan = plan_view(model, options.seed, person, view, options.size, options.layout)
-                    captures.append(render_capture(drawing, model, plan))
-                    done, rendered = done + 1, rendered + 1
-                    progress("rendering", done, total)
-                write_shard(folder, captures)
+        shards = [
+            Shard(person, range(first, min(first + SHARD_VIEWS, options.views)))
+            for person in range(options.people)
+            for first in range(0, options.views, SHARD_VIEWS)
+        ]
+        missing = [shard for shard in shards if not (folder / shard.name).is_file()]
+        rendered, total = sum(len(shard.views) for shard in missing), options.people * options.views
+        done = total - rendered
+        workers = min(workers, len(missing))
+        for count in (
+            _in_processes(folder, options, missing, workers)
+            if workers > 1
+            else _one_after_another(folder, options, missing, drawing, model)
+        ):
+            done += count
+            progress("rendering", done, total)
     return rendered
+
+
+def _one_after_another(
+    folder: Path, options: SynthesizeOptions, shards: Sequence[Shard], drawing: Renderer, model: ParametricHead
+) -> Iterator[int]:
+    """Render and write shards; yields 1 with every capture, the last of a shard once the shard is written."""
+    for shard in shards:
+        captures = []
+        for view in shard.views:
+            plan = plan_view(model, options.seed, shard.person, view, options.size, options.layout)
+            captures.append(render_capture(drawing, model, plan))
+            if len(captures) == len(shard.views):
+                write_shard(folder, captures)
+            yield 1
+
+
+def _in_processes(folder: Path, options: SynthesizeOptions, shards: Sequence[Shard], workers: int) -> Iterator[int]:
+    """Render and write shards in processes of their own; yields the captures of each as it is written.
+
+    Raises:
+        UserError: a process died.
+    """
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, context, initializer=_start_process, initargs=(options,)) as executor:
+        futures = [executor.submit(_render_in_process, folder, options, shard) for shard in shards]
+        try:
+            for future in as_completed(futures):
+                yield future.result()
+        except BrokenProcessPool as error:
+            raise UserError(
+                "a process that renders died, perhaps for want of memory; the same command with a smaller --workers "
+                "goes on where it stopped"
+            ) from error
+        finally:
+            executor.shutdown(wait=False, cancel_futures=True)
+
+
+_process = ExitStack()
+"""What a rendering process opened, closed when it ends."""
+
+_drawing: tuple[Renderer, ParametricHead] | None = None
+
+
+def _start_process(options: SynthesizeOptions) -> None:
+    """Open the renderer of a process, which keeps to one core and ends at once when interrupted."""
+    global _drawing
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    os.environ["LP_NUM_THREADS"] = "1"  # of Mesa's software rasterizer
+    cv2.setNumThreads(1)
+    if options.renderer == "mitsuba":
+        import drjit
+
+        drjit.set_thread_count(1)
+    _drawing = _process.enter_context(_open(options)[0]), load_head_model()
+    atexit.register(_process.close)
+
+
+def _render_in_process(folder: Path, options: SynthesizeOptions, shard: Shard) -> int:
+    assert _drawing is not None
+    return sum(_one_after_another(folder, options, [shard], *_drawing))
 
 
 def _open(options: SynthesizeOptions) -> tuple[AbstractContextManager[Renderer], dict[str, int]]:

@@ -13,7 +13,13 @@ from scipy import ndimage
 from gazenerf.data.captures import Capture
 
 EYE_CROP = (12, 32)
-"""Height and width, in feature pixels, of the crop in which the eyes stream is rendered."""
+"""Height and width, in feature pixels of a map of 64, of the crop in which the eyes stream is rendered."""
+
+
+def eye_crop(feature_size: int) -> tuple[int, int]:
+    """Height and width of that crop in a feature map of F x F: its share of 64 where F is larger, F at most."""
+    scale = max(feature_size / 64.0, 1.0)
+    return min(round(scale * EYE_CROP[0]), feature_size), min(round(scale * EYE_CROP[1]), feature_size)
 
 
 @dataclass
@@ -71,7 +77,7 @@ def ray_targets(capture: Capture, feature_size: int, all_rays: bool = False, eye
     position = np.full(cast.size, -1)
     position[rays] = np.arange(rays.size)
     eye_rays = position[np.flatnonzero(near_eye)]
-    crop = (min(EYE_CROP[0], feature_size), min(EYE_CROP[1], feature_size))
+    crop = eye_crop(feature_size)
     if (eyes > 0).any():
         rows, columns = np.divmod(np.flatnonzero(eyes > 0), feature_size)
         centre = (rows.min() + rows.max() + 1) // 2, (columns.min() + columns.max() + 1) // 2

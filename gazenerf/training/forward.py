@@ -9,7 +9,7 @@ import torch
 from gazenerf.field.compositing import Composited, StreamSamples, composite_stream, composite_streams
 from gazenerf.field.model import TwoStreamField
 from gazenerf.field.sampling import RaySamples, shell_samples, slab_samples
-from gazenerf.training.batches import EYE_CROP, Batch
+from gazenerf.training.batches import Batch, eye_crop
 from gazenerf.training.geometry_terms import TwoStreamRays, geometry_terms, pick
 
 
@@ -142,7 +142,7 @@ class _Maps:
 
     def eye_crop(self, feature_map: torch.Tensor) -> torch.Tensor:
         """The picture of the crop around the eyes."""
-        height, width = min(EYE_CROP[0], self.size), min(EYE_CROP[1], self.size)
+        height, width = eye_crop(self.size)
         rows = self.batch.eye_corner[:, :1] + torch.arange(height, device=feature_map.device)
         columns = self.batch.eye_corner[:, 1:] + torch.arange(width, device=feature_map.device)
         crop = (rows[:, :, None] * self.size + columns[:, None, :]).reshape(len(feature_map), -1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import multiprocessing
 import subprocess
 import sys
 import time
@@ -63,7 +64,7 @@ def test_what_is_missing_is_made_again_and_what_is_there_stays(whole, small_shar
         synthesize(tmp_path, SynthesizeOptions(**SETTINGS), lambda stage, done, total: calls.append((done, total))) == 1
     )
     assert digests(tmp_path) == digests(whole)
-    assert (tmp_path / names[0]).stat().st_mtime_ns == kept and calls == [(3, 6)]
+    assert (tmp_path / names[0]).stat().st_mtime_ns == kept and calls == [(6, 6)]
     assert synthesize(tmp_path, SynthesizeOptions(**SETTINGS)) == 0
 
 
@@ -82,6 +83,30 @@ def test_a_killed_run_goes_on_where_it_stopped(whole, small_shards, tmp_path):
     assert synthesize(tmp_path, SynthesizeOptions(**SETTINGS)) > 0
     assert {name: digest for name, digest in digests(tmp_path).items() if name[0] != "."} == digests(whole)
     assert len(CaptureSet(tmp_path)) == 6
+
+
+def test_processes_write_the_same_bytes(whole, small_shards, tmp_path):
+    calls = []
+    rendered = synthesize(
+        tmp_path, SynthesizeOptions(**SETTINGS), lambda stage, done, total: calls.append((done, total)), workers=2
+    )
+    assert rendered == 6 and digests(tmp_path) == digests(whole)
+    assert len(calls) == 4 and calls[-1] == (6, 6), "a call for each shard"
+
+
+def test_a_process_that_dies_is_one_line_and_the_set_goes_on(pyrender, small_shards, tmp_path):
+    options = SynthesizeOptions(**SETTINGS | {"people": 1, "views": 24})
+
+    def kill(stage: str, done: int, total: int) -> None:
+        for child in multiprocessing.active_children():
+            child.kill()
+
+    with pytest.raises(UserError, match="smaller --workers"):
+        synthesize(tmp_path, options, kill, workers=2)
+    there = len(list(tmp_path.glob("person-*.npz")))
+    assert 1 <= there < 12
+    assert synthesize(tmp_path, options) == 24 - 2 * there
+    assert len(CaptureSet(tmp_path)) == 24
 
 
 def test_captures_read_back_as_they_were_rendered(whole, head):
@@ -109,11 +134,19 @@ def test_xgaze18_is_written_too(pyrender, tmp_path):
     assert [float(np.sign(capture.camera.position[0])) for capture in captures] == [-1.0, -1.0, -1.0]
 
 
-def test_path_traced_sets_are_the_same_every_time_and_keep_apart(path_tracer, whole, tmp_path):
+@pytest.mark.parametrize("workers", [0, -1])
+def test_no_processes_are_refused(workers, tmp_path):
+    with pytest.raises(UserError, match="--workers must be at least 1"):
+        synthesize(tmp_path / "set", SynthesizeOptions(**SETTINGS), workers=workers)
+    assert not (tmp_path / "set").exists()
+
+
+def test_path_traced_sets_are_the_same_every_time_and_keep_apart(path_tracer, whole, tmp_path, monkeypatch):
+    monkeypatch.setattr(synthesis, "SHARD_VIEWS", 1)
     traced: dict = {"renderer": "mitsuba", "samples": 3}
     few: dict = {"people": 1, "views": 2, "size": SIZE, "seed": 5}
-    for name in ("a", "b"):
-        assert synthesize(tmp_path / name, SynthesizeOptions(**few, **traced)) == 2
+    for name, workers in (("a", 1), ("b", 2)):
+        assert synthesize(tmp_path / name, SynthesizeOptions(**few, **traced), workers=workers) == 2
     assert digests(tmp_path / "a") == digests(tmp_path / "b")
     manifest = json.loads((tmp_path / "a" / storage.MANIFEST).read_text())
     assert manifest["renderer"] == "mitsuba" and manifest["samples"] == 3 and "supersampling" not in manifest

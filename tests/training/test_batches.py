@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from gazenerf.training.batches import BatchMaker, ray_targets
+from gazenerf.training.batches import BatchMaker, eye_crop, ray_targets
 from gazenerf.training.split import is_held_out_view, split_captures
 
 
@@ -32,6 +34,18 @@ def test_eye_rays_are_positions_in_the_cast_rays(toy_captures):
 def test_all_rays_casts_the_whole_map(toy_captures):
     target = ray_targets(toy_captures[0], 16, all_rays=True)
     assert target.rays.size == 256 and target.eye_rays.size == 256
+
+
+@pytest.mark.parametrize("size", [16, 64, 128, 256])
+def test_the_eye_crop_holds_the_eyes_whatever_the_feature_map(toy_captures, size):
+    parts = np.zeros((64, 64), np.uint8)
+    parts[22:32, 18:30], parts[23:33, 34:46] = 3, 2
+    parts = parts[::4, ::4] if size == 16 else np.kron(parts, np.ones((size // 64,) * 2, np.uint8))
+    capture = replace(toy_captures[0], parts=parts, depth=(parts > 0).astype(np.float32))
+    row, column = ray_targets(capture, size).eye_corner
+    height, width = eye_crop(size)
+    assert (parts[row : row + height, column : column + width] > 0).sum() == (parts > 0).sum()
+    assert height * width <= max(0.1 * size**2, 12 * 16), "and little else"
 
 
 def test_a_picture_that_does_not_fit_the_map_is_refused(toy_captures):

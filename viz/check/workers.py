@@ -6,20 +6,20 @@ view is faster than several threads inside each matrix product.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 
 import torch
 
+from gazenerf.cores import usable_cores
+
 MOST = 8
 
 
 def cores() -> int:
     """Cores this process may use, at most `MOST`."""
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
-    return max(1, min(MOST, usable))
+    return min(MOST, usable_cores())
 
 
 @contextmanager
