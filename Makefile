@@ -20,6 +20,7 @@ lint: .venv/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
+	$(BIN)/python scripts/check_doc_examples.py
 	$(BIN)/lint-imports
 
 # the pictures of README.md, made by the commands
