@@ -131,7 +131,7 @@ class Finding:
 
 
 def compare(a: Path, b: Path) -> Iterator[Finding]:
-    """Every file of two recorded folders against its twin."""
+    """Every file of two recorded folders against the file of the same name."""
     names = sorted({str(path.relative_to(root)) for root in (a, b) for path in root.rglob("*") if path.is_file()})
     for name in names:
         if name == "seconds.json" or name.endswith((".html", "state.pt")):

@@ -94,7 +94,7 @@ class MeshOptions:
     )
     colours: bool = option(True, "leave the meshes grey", flag="--no-colours", group=WRITTEN)
     texture: int | None = option(
-        None, "give glb, obj and usdz a texture of so many pixels a side", choices=SIZES, group=WRITTEN
+        None, "give glb, obj and usdz a texture of this many pixels per side", choices=SIZES, group=WRITTEN
     )
     points: int | None = option(None, "also write N coloured points of each surface", metavar="N", group=WRITTEN)
     volumes: tuple[str, ...] = option(

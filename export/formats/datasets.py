@@ -220,7 +220,7 @@ def _seen_points(view: RenderedView, part: Part, count: int, rng: np.random.Gene
 
 
 def transforms(cameras: Sequence[Camera], names: Sequence[str]) -> dict[str, Any]:
-    """The content of a transforms.json: intrinsics a frame, poses with OpenGL camera axes."""
+    """The content of a transforms.json: intrinsics of each frame, poses with OpenGL camera axes."""
     frames = [
         {
             "file_path": f"images/{name}",

@@ -142,7 +142,7 @@ class MitsubaScene:
         self._scene = self._mi.load_dict(scene)
 
     def _shape(self, mesh: HeadMesh, part: int) -> Any:
-        """One part; its texture coordinates say which, so that `geometry` can read it off a ray."""
+        """One part; its texture coordinates say which, so that `geometry` can tell the part that a ray meets."""
         mi = self._mi
         used, faces = np.unique(mesh.part_faces(part), return_inverse=True)
         colour = {"type": "mesh_attribute", "name": "vertex_color"}

@@ -1,4 +1,4 @@
-"""Captures on disk: a manifest and one shard a person and range of views, written whole, no pickle.
+"""Captures on disk: a manifest, and shards that each hold a range of one person's views, written whole, without pickle.
 
 A shard is a `.npz` whose pictures are PNG bytes; a folder is resumed shard by shard.
 """
@@ -32,7 +32,7 @@ MAX_SIDE = 4096
 MAX_SHARD_BYTES = 2**30
 MAX_MANIFEST_BYTES = 2**20
 DEPTH_STEP = 5e-4
-"""World units a depth level; depth is stored as 16-bit steps from the capture's nearest point."""
+"""World units per depth level; depth is stored as 16-bit steps from the capture's nearest point."""
 
 _CODES = ("identity", "expression", "texture", "illumination")
 _DAMAGE = (

@@ -107,7 +107,7 @@ class FieldConfig:
 
     @property
     def upsampling(self) -> int:
-        """Picture pixels a feature pixel."""
+        """Up-sampling factor: picture pixels along a side per feature pixel."""
         return self.image_size // self.feature_size
 
     @property

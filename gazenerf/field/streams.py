@@ -2,7 +2,7 @@
 
 `forward` follows the paper line by line. `condition` and `query` compute the same with everything
 that is constant over an image folded into biases, and leave the last linear layer to `project`,
-after compositing, where it runs once a ray.
+after compositing, where it runs once per ray.
 """
 
 from __future__ import annotations

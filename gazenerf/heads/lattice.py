@@ -173,7 +173,7 @@ class LeapingSteps:
         return t, t < self._far[rays, None]
 
     def ahead(self, rays: torch.Tensor, hit: torch.Tensor) -> torch.Tensor:
-        """Rays without a surface that are not through the box, after a leap."""
+        """The rays that have met no surface and are still inside the box after a leap."""
         rays = rays[~hit]
         near, width, after = self._near[rays], self.width[rays], self._number[rays] + len(self._within)
         t = self._leap(rays, near + after * width, 3)

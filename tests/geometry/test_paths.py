@@ -115,7 +115,7 @@ def test_look_at_camera_stops_at_the_range():
 def test_look_at_camera_has_no_jump_behind_the_head():
     gazes = angles(P.look_at_camera(P.full_turn(360, pitch=np.deg2rad(10))))
     inside, closing = largest_step(gazes)
-    assert inside < 2.5 and closing < 2.5  # degrees a frame, for one degree of camera
+    assert inside < 2.5 and closing < 2.5  # degrees per frame, for one degree of camera
     np.testing.assert_allclose(gazes[180], 0.0, atol=1e-6)
 
 

@@ -116,7 +116,7 @@ class ViewDrift:
 
 @dataclass(frozen=True)
 class TextureFollow:
-    """Fine texture of one view against another's.
+    """How the fine texture of one view follows that of another.
 
     Attributes:
         a, b: Names of the views.

@@ -190,7 +190,7 @@ def measure_surfaces(
         views: The field's, with normals.
         references: Of the same cameras.
         mesh: What the references show.
-        count: Samples a side.
+        count: Samples of each of the two surfaces.
         seed: Of the samples.
 
     Returns:
@@ -249,7 +249,7 @@ def surface_errors(
 
     Args:
         groups: In how many parts the views are split; NaN for fewer than two views.
-        count: Samples a side.
+        count: Samples of each of the two surfaces.
     """
     groups = min(groups, len(views))
     found = [
