@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import atexit
+import ctypes
 import multiprocessing
-import os
-import signal
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager, ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -19,6 +18,7 @@ import numpy as np
 
 from gazenerf.data.captures import Capture
 from gazenerf.data.path_tracer import SAMPLES, PathTracer
+from gazenerf.data.processes import follow_parent, launching
 from gazenerf.data.protocol import LAYOUTS, View, plan_view
 from gazenerf.data.rasterizer import Raster, Rasterizer
 from gazenerf.data.storage import MAX_SIDE, SHARD_VIEWS, shard_name, write_manifest, write_shard
@@ -32,6 +32,8 @@ from gazenerf.progress import Progress, silent
 
 RENDERERS = ("pyrender", "mitsuba")
 SUPERSAMPLING, MAX_SUPERSAMPLING = 2, 8
+MAX_FAILED_SHARDS = 8
+"""So many failed shards end a run in processes; fewer leave it to finish the others."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,8 +131,8 @@ def synthesize(out: str | Path, options: SynthesizeOptions, progress: Progress =
         How many captures were rendered now.
 
     Raises:
-        UserError: impossible settings, a renderer that cannot start, a process that died, or the folder holds
-            another set.
+        UserError: impossible settings, a renderer that cannot start, the folder holds another set, or, of several
+            processes, one died or shards failed: the line names the shards, and the others are written.
     """
     options.check()
     if workers < 1:
@@ -162,19 +164,20 @@ def synthesize(out: str | Path, options: SynthesizeOptions, progress: Progress =
         rendered, total = sum(len(shard.views) for shard in missing), options.people * options.views
         done = total - rendered
         workers = min(workers, len(missing))
-        for count in (
+        with closing(
             _in_processes(folder, options, missing, workers)
             if workers > 1
             else _one_after_another(folder, options, missing, drawing, model)
-        ):
-            done += count
-            progress("rendering", done, total)
+        ) as counts:
+            for count in counts:
+                done += count
+                progress("rendering", done, total)
     return rendered
 
 
 def _one_after_another(
     folder: Path, options: SynthesizeOptions, shards: Sequence[Shard], drawing: Renderer, model: ParametricHead
-) -> Iterator[int]:
+) -> Generator[int, None, None]:
     """Render and write shards; yields 1 with every capture, the last of a shard once the shard is written."""
     for shard in shards:
         captures = []
@@ -186,50 +189,112 @@ def _one_after_another(
             yield 1
 
 
-def _in_processes(folder: Path, options: SynthesizeOptions, shards: Sequence[Shard], workers: int) -> Iterator[int]:
+class _CannotStart(UserError):
+    """A process cannot open its renderer."""
+
+
+class _UnexpectedError(Exception):
+    """What failed in a process, as words: errors of OpenGL hold pointers, which do not pass between processes."""
+
+
+def _in_processes(
+    folder: Path, options: SynthesizeOptions, shards: Sequence[Shard], workers: int
+) -> Generator[int, None, None]:
     """Render and write shards in processes of their own; yields the captures of each as it is written.
 
+    However it ends, the processes end after the capture they are at.
+
     Raises:
-        UserError: a process died.
+        UserError: a process died or cannot start, or shards failed.
     """
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, context, initializer=_start_process, initargs=(options,)) as executor:
-        futures = [executor.submit(_render_in_process, folder, options, shard) for shard in shards]
-        try:
-            for future in as_completed(futures):
+    stop = context.RawValue(ctypes.c_bool, False)  # no lock, which a process that dies could take along
+    executor = ProcessPoolExecutor(workers, context, initializer=_start_process, initargs=(options, stop))
+    failed: dict[Shard, Exception] = {}
+    try:
+        with launching():
+            shard_of = {executor.submit(_render_in_process, folder, options, shard): shard for shard in shards}
+        for future in as_completed(shard_of):
+            error = future.exception()
+            if error is None:
                 yield future.result()
-        except BrokenProcessPool as error:
-            raise UserError(
-                "a process that renders died, perhaps for want of memory; the same command with a smaller --workers "
-                "goes on where it stopped"
-            ) from error
-        finally:
-            executor.shutdown(wait=False, cancel_futures=True)
+            elif not isinstance(error, Exception) or isinstance(error, (_CannotStart, BrokenProcessPool)):
+                raise error
+            else:
+                failed[shard_of[future]] = error
+            if len(failed) == MAX_FAILED_SHARDS:
+                break
+    except BrokenProcessPool as error:
+        raise UserError(
+            "a process that renders died, perhaps for want of memory; the same command with a smaller --workers "
+            "goes on where it stopped"
+        ) from error
+    finally:
+        stop.value = True
+        executor.shutdown(cancel_futures=True)
+    if failed:
+        first = min(failed, key=lambda shard: shard.name)
+        raise UserError(_failures(failed, first)) from failed[first]
 
 
-_process = ExitStack()
-"""What a rendering process opened, closed when it ends."""
+def _failures(failed: Mapping[Shard, Exception], first: Shard) -> str:
+    names, error = ", ".join(sorted(shard.name for shard in failed)), failed[first]
+    many = f"{len(failed)} shards" if len(failed) > 1 else "1 shard"
+    where = "" if isinstance(error, UserError) else ", and with --workers 1 shows where this one fails"
+    return f"{many} failed ({names}): {_reason(error)}; the same command renders what is missing{where}"
 
-_drawing: tuple[Renderer, ParametricHead] | None = None
+
+def _reason(error: Exception) -> str:
+    return str(error) if isinstance(error, (UserError, _UnexpectedError)) else f"{type(error).__name__}: {error}"
 
 
-def _start_process(options: SynthesizeOptions) -> None:
-    """Open the renderer of a process, which keeps to one core and ends at once when interrupted."""
-    global _drawing
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-    os.environ["LP_NUM_THREADS"] = "1"  # of Mesa's software rasterizer
-    cv2.setNumThreads(1)
-    if options.renderer == "mitsuba":
-        import drjit
+@dataclass
+class _RenderingProcess:
+    """What a process that renders keeps from shard to shard: a renderer and a head model, or why there are none."""
 
-        drjit.set_thread_count(1)
-    _drawing = _process.enter_context(_open(options)[0]), load_head_model()
-    atexit.register(_process.close)
+    stop: ctypes.c_bool
+    drawing: tuple[Renderer, ParametricHead] | None = None
+    reason: str = ""
+
+
+_process: _RenderingProcess | None = None
+
+
+def _start_process(options: SynthesizeOptions, stop: ctypes.c_bool) -> None:
+    """Open the renderer of a process; a failure is kept for the first shard, since an executor only prints it."""
+    global _process
+    follow_parent()
+    _process, opened = _RenderingProcess(stop), ExitStack()
+    atexit.register(opened.close)
+    try:
+        cv2.setNumThreads(1)
+        if options.renderer == "mitsuba":
+            import drjit
+
+            drjit.set_thread_count(1)
+        _process.drawing = opened.enter_context(_open(options)[0]), load_head_model()
+    except Exception as error:
+        _process.reason = _reason(error)
 
 
 def _render_in_process(folder: Path, options: SynthesizeOptions, shard: Shard) -> int:
-    assert _drawing is not None
-    return sum(_one_after_another(folder, options, [shard], *_drawing))
+    """Captures of a shard that were rendered; the shard is written unless the process is to stop."""
+    assert _process is not None
+    if _process.drawing is None:
+        raise _CannotStart(f"a process that renders cannot start ({_process.reason})")
+    rendered = 0
+    if _process.stop.value:
+        return rendered
+    try:
+        for count in _one_after_another(folder, options, [shard], *_process.drawing):
+            rendered += count
+            if _process.stop.value:
+                break
+    except UserError:
+        raise
+    except Exception as error:
+        raise _UnexpectedError(_reason(error)) from error
+    return rendered
 
 
 def _open(options: SynthesizeOptions) -> tuple[AbstractContextManager[Renderer], dict[str, int]]:
