@@ -9,7 +9,11 @@ from gazenerf.errors import UserError
 DEVICES = ("auto", "cpu", "cuda")
 
 PRECISIONS = ("auto", "float32", "float16", "bfloat16")
-"""Of matrix products; `auto` is float16 on a GPU and float32 on a CPU."""
+"""Of matrix products; `auto` is float16 on a GPU and float32 on a CPU.
+
+Against float32, 256 px pictures of the bundled portrait field agree to 65 dB in float16 and 58 dB in bfloat16; depths
+differ by 0.002 and 0.02 mm (median), 0.03 and 0.2 mm (99th percentile). Measured on a CPU.
+"""
 
 CPU_CHUNK = 2**13
 """Points queried at once on a CPU. Larger arrays come fresh from the system every time, which costs a third of the

@@ -11,13 +11,19 @@ from gazenerf.heads import Head
 from gazenerf.subjects import bundled_subjects, load_subject
 
 
-def load(subject: str | Path | None = None, checkpoint: str | Path | None = None, device: str = "auto") -> Head:
+def load(
+    subject: str | Path | None = None,
+    checkpoint: str | Path | None = None,
+    device: str = "auto",
+    precision: str = "auto",
+) -> Head:
     """A head to render, mesh and check.
 
     Args:
         subject: A bundled name or a subject file; the first bundled one by default.
         checkpoint: A bundled field's name (`portrait`, `small`) or a field's file; `portrait` by default.
         device: `auto` (a CUDA GPU where PyTorch sees one), `cpu`, `cuda` or `cuda:N`.
+        precision: Of matrix products, one of `gazenerf.devices.PRECISIONS`.
 
     Raises:
         UserError: either cannot be read, they do not fit together, nothing is bundled, or there is no such device.
@@ -30,4 +36,4 @@ def load(subject: str | Path | None = None, checkpoint: str | Path | None = None
     if name is None:
         raise UserError("no subject is bundled with this installation; give --subject FILE.safetensors")
     where = choose_device(device)  # before anything is read
-    return Head(load_field(checkpoint), load_subject(name), device=where)
+    return Head(load_field(checkpoint), load_subject(name), device=where, precision=precision)

@@ -23,6 +23,7 @@ class SourceArguments:
         subject: A bundled name or a subject file; the first bundled one by default.
         checkpoint: A bundled field's name or a file of weights; `portrait` by default.
         device: Where the field is computed.
+        precision: Of matrix products.
     """
 
     subject: str | None = option(
@@ -37,6 +38,11 @@ class SourceArguments:
         metavar="DEVICE",
     )  # fmt: skip
 
+    precision: str = option(
+        "auto", "of matrix products: float32, float16, bfloat16, or auto for float16 on a GPU and float32 on a CPU "
+        "(default: auto)", metavar="TYPE",
+    )  # fmt: skip
+
     def load(self) -> Head:
         """The head.
 
@@ -46,7 +52,7 @@ class SourceArguments:
         """
         from gazenerf.loading import load
 
-        return load(self.subject, self.checkpoint, self.device)
+        return load(self.subject, self.checkpoint, self.device, self.precision)
 
 
 @dataclass(frozen=True, kw_only=True)

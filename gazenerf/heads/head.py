@@ -53,9 +53,7 @@ class Head:
         subject: Its codes must have the field's sizes.
         sampler: `slabs` or `guided`; the field's own when None.
         device: `auto`, `cpu`, `cuda` or `cuda:N`, to which the field is moved; where it is when None.
-        precision: Of matrix products, one of `gazenerf.devices.PRECISIONS`: half precision on a GPU, float32 on a
-            CPU by default. Half precision halves or better the time of a GPU; pictures lie within 50 dB of float32
-            ones, depths within 0.1 mm (median), on the bundled field.
+        precision: Of matrix products, one of `gazenerf.devices.PRECISIONS`; see there for the error.
         upsampler: One of `gazenerf.heads.upsampler.BACKENDS`; when None `folded` in float32, else `reference`.
 
     Raises:
