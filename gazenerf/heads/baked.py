@@ -22,7 +22,7 @@ from gazenerf.field.sampling import shell_samples
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.geometry.paths import GazeRange
 from gazenerf.heads.bound import BoundHead
-from gazenerf.heads.feature_map import FeatureGrid, RayFeatures, Window, to_picture
+from gazenerf.heads.feature_map import FeatureGrid, RayFeatures, Window, add_behind, to_picture
 from gazenerf.heads.head import Head
 from gazenerf.heads.interface import OPACITY_FLOOR, GeometryView, Part, RenderedView
 from gazenerf.heads.lattice import Band, DensityLattice
@@ -231,27 +231,32 @@ class BakedBoundHead:
     def _render_head(self, camera: Camera) -> tuple[np.ndarray, GeometryView]:
         head = self.bound.head
         grid = FeatureGrid.of(camera, head.field.config, head.device)
-        rows, columns = grid.shape
         with head.quickly():
-            background = head.field.renderer.background(rows, columns)[0].flatten(1).T.float()
+            background = head.field.renderer.background(*grid.shape)[0].flatten(1).T.float()
             found = self._composited(grid.rays_o, grid.rays_d, background)
-            seen = grid.smooth_outline(self._composited, background, found)
-            picture = head.picture(seen.features.T.reshape(-1, rows, columns), seen.opacity.reshape(rows, columns))
+            seen = grid.smooth_outline(self._composited, background, found, cut=True)
+            picture = head.picture(seen, grid.shape)
         return to_picture(picture, camera), grid.geometry(seen)
 
     def _composited(
-        self, rays_o: torch.Tensor, rays_d: torch.Tensor, background: torch.Tensor, window: Window | None = None
+        self,
+        rays_o: torch.Tensor,
+        rays_d: torch.Tensor,
+        background: torch.Tensor,
+        window: Window | None = None,
+        start: torch.Tensor | None = None,
     ) -> RayFeatures:
+        """What rays see; `start` (R,) is the distance from which they look, None for the first surface."""
         config, density = self.bound.field.config, self.baked.density
         features, opacity = background.clone(), rays_o.new_zeros(len(rays_o))
         distance = rays_o.new_full((len(rays_o),), torch.nan)
-        surface, hit = density.first_surface(rays_o, rays_d)
+        surface, hit = density.first_surface(rays_o, rays_d, start)
         if not self.held:
             near = self.baked.eyes.at(rays_o + surface.nan_to_num()[:, None] * rays_d) & hit
             live, hit = near.nonzero()[:, 0], hit & ~near
             features[live], opacity[live], distance[live] = composite_near(
                 self.bound, rays_o[live], rays_d[live], surface[live], background[live]
-            )
+            )[:3]
         rays = hit.nonzero()[:, 0]
         t, deltas = shell_samples(surface[rays], config.shell, config.shell_samples)
         points = rays_o[rays, None] + t[..., None] * rays_d[rays, None]
@@ -262,4 +267,10 @@ class BakedBoundHead:
         opacity[rays] = alpha
         expected = (weights * t).sum(-1) / alpha.clamp(min=1e-6)
         distance[rays] = torch.where(alpha >= OPACITY_FLOOR, expected, torch.nan)
-        return RayFeatures(features, opacity, distance)
+        seen = RayFeatures(features, opacity, distance, torch.where(hit, surface + config.shell, torch.nan))
+        if start is not None:
+            return seen
+        return add_behind(
+            seen, background,
+            lambda rays, where: self._composited(rays_o[rays], rays_d[rays], background[rays], start=where[0]),
+        )  # fmt: skip

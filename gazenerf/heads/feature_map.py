@@ -23,15 +23,50 @@ class RayFeatures(NamedTuple):
         features: (R, C) over the background.
         opacity: (R,).
         distance: (R,) expected, world units; NaN without a surface.
+        end: (R,) distance up to which the ray was sampled; NaN without a surface, None where it does not matter.
+        matte: (2 h, 2 w) of a whole feature map: share of the head in each quarter of a feature pixel. Where it is
+            given, features go on a little beyond the outline, and the picture is cut out by it.
     """
 
     features: torch.Tensor
     opacity: torch.Tensor
     distance: torch.Tensor
+    end: torch.Tensor | None = None
+    matte: torch.Tensor | None = None
 
 
 Window = tuple[torch.Tensor, torch.Tensor]
 """Nearest and farthest distance (R,) at which a ray's surface is looked for."""
+
+FAINT = 0.02
+"""Opacity from which a feature pixel away from outlines shows anything of the head."""
+
+SEEN_THROUGH = 0.03
+"""Share of light left behind a surface from which what lies behind it is looked for: the rim of an ear is no hole."""
+
+
+def add_behind(
+    front: RayFeatures, background: torch.Tensor, look: Callable[[torch.Tensor, Window], RayFeatures]
+) -> RayFeatures:
+    """What lies behind thin surfaces takes the place of the background, in place.
+
+    Args:
+        front: What rays see of their first surface, over the background, with its `end`.
+        background: (R, C).
+        look: Numbers of rays (A,) and where to look, to what those rays see there over their background.
+    """
+    assert front.end is not None
+    left = 1.0 - front.opacity
+    rays = ((left > SEEN_THROUGH) & (front.opacity > 0.0) & front.end.isfinite()).nonzero()[:, 0]
+    if not len(rays):
+        return front
+    start = front.end[rays]
+    behind = look(rays, (start, torch.full_like(start, torch.inf)))
+    front.features[rays] += left[rays, None] * (behind.features - background[rays])
+    front.opacity[rays] += left[rays] * behind.opacity
+    front.distance[rays] = torch.where(front.distance[rays].isnan(), behind.distance, front.distance[rays])
+    return front
+
 
 Composite = Callable[[torch.Tensor, torch.Tensor, torch.Tensor, Window], RayFeatures]
 """Rays (R, 3), (R, 3), background features (R, C) and where their surface may be, to what is seen along them."""
@@ -43,6 +78,20 @@ a surface seen edge-on recedes fast."""
 INSIDE = np.array([[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]])
 """Four rays of a feature pixel, from its own ray, in feature pixels."""
 
+
+BAND = 2
+"""Feature pixels beside an outline in which a matte decides what shows the head."""
+
+PURE = 0.4
+"""Opacity from which the feature of a pixel on an outline is known without its background."""
+
+EDGE, CONTRAST = 0.7, 0.75
+"""Share at which a matte ends the head, and its slope there, per picture pixel of its own pixels.
+
+Rays that graze a soft surface see some of it beyond its outline, so that 0.5 would draw heads too large. On captures of
+five people and the portrait field, 7 pixels about the outlines are drawn 1.4 dB better than by averaged features, and
+heads as a whole 0.4 dB worse, because what is cut off shows the background.
+"""
 
 CROSS = ((3, 1), (1, 3))
 """Sides of the windows that together are a pixel and the four beside it."""
@@ -88,25 +137,72 @@ class FeatureGrid:
 
         return (most(solid) != -most(-solid)).flatten().nonzero()[:, 0]
 
-    def smooth_outline(self, composite: Composite, background: torch.Tensor, found: RayFeatures) -> RayFeatures:
-        """Features and opacity along the outline averaged over four rays per feature pixel, in place.
+    def smooth_outline(
+        self, composite: Composite, background: torch.Tensor, found: RayFeatures, cut: bool = False
+    ) -> RayFeatures:
+        """Features and opacity along the outline from four rays per feature pixel, in place.
 
         One ray decides for `upsampling` squared picture pixels whether they show the head, which
         draws outlines as stairs.
+
+        Args:
+            composite: What is seen along rays.
+            background: (h * w, C).
+            found: One ray per feature pixel.
+            cut: Leave the outline to a matte instead of mixing head and background in features, which the
+                up-sampler has not learned and draws as stairs, too.
         """
-        features, opacity, distance = found
+        features, opacity, distance = found[:3]
         outline = self.outline(opacity)
         if not len(outline):
             return found
+        solid = opacity >= 0.5
         inner = self.grid.reshape(-1, 2)[outline.cpu().numpy(), None] + INSIDE
         rays_o, rays_d = camera_rays(self.camera, inner, background.device)
         window = self._beside(distance)[:, outline].repeat_interleave(4, dim=1)
-        fine, alpha, _ = composite(
-            rays_o, rays_d, background[outline].repeat_interleave(4, dim=0), (window[0], window[1])
-        )
-        features[outline] = fine.reshape(len(outline), 4, -1).mean(1)
-        opacity[outline] = alpha.reshape(-1, 4).mean(1)
-        return found
+        fine = composite(rays_o, rays_d, background[outline].repeat_interleave(4, dim=0), (window[0], window[1]))
+        features[outline] = fine.features.reshape(len(outline), 4, -1).mean(1)
+        quarters = fine.opacity.reshape(-1, 4)
+        opacity[outline] = quarters.mean(1)
+        if not cut:
+            return found
+        near = torch.zeros_like(solid)
+        near[outline] = True
+        near = F.max_pool2d(near.reshape(1, 1, *self.shape).float(), 2 * BAND + 1, stride=1, padding=BAND) > 0
+        matte = torch.where(near.flatten(), solid.float(), (opacity > FAINT).float())
+        matte = matte[:, None].repeat(1, 4)
+        matte[outline] = quarters.to(matte.dtype)
+        matte = F.pixel_shuffle(matte.T.reshape(1, 4, *self.shape), 2)[0, 0]
+        return found._replace(features=self._beyond(features, opacity, background, outline, near), matte=matte)
+
+    def _beyond(
+        self,
+        features: torch.Tensor,
+        opacity: torch.Tensor,
+        background: torch.Tensor,
+        outline: torch.Tensor,
+        near: torch.Tensor,
+    ) -> torch.Tensor:
+        """(h * w, C) features that near an outline (1, 1, h, w) are the head's own, on either side of it."""
+        known = opacity >= 0.5
+        known[outline] = opacity[outline] >= PURE
+        pure = features.clone()
+        alpha = opacity[outline].clamp(min=PURE)[:, None]
+        pure[outline] = background[outline] + (features[outline] - background[outline]) / alpha
+        rows, columns = self.shape
+        values = F.pad(pure.reshape(rows, columns, -1), (0, 0, 1, 1, 1, 1)).flatten(0, 1)
+        known, wanted = (F.pad(mask.reshape(rows, columns), (1, 1, 1, 1)).flatten() for mask in (known, near))
+        around = torch.tensor([y * (columns + 2) + x for y in (-1, 0, 1) for x in (-1, 0, 1)], device=known.device)
+        for _ in range(BAND + 1):
+            beside = (wanted & ~known).nonzero() + around
+            share = known[beside].to(values.dtype)
+            total = share.sum(1)
+            reached = total > 0.0
+            beside, share, total = beside[reached], share[reached], total[reached]
+            here = beside[:, len(around) // 2]
+            values[here] = (values[beside] * share[..., None]).sum(1) / total[:, None]
+            known[here] = True
+        return values.reshape(rows + 2, columns + 2, -1)[1:-1, 1:-1].flatten(0, 1)
 
     def geometry(self, seen: RayFeatures) -> GeometryView:
         """Opacity and distance of every feature pixel."""
@@ -119,6 +215,18 @@ class FeatureGrid:
         near = (-distance).nan_to_num(-torch.inf).reshape(1, 1, *self.shape)
         grown = F.max_pool2d(torch.cat([near, far], dim=1), 3, stride=1, padding=1)[0].flatten(1)
         return torch.stack([-grown[0] - BESIDE[0], grown[1] + BESIDE[1]])
+
+
+def cut_out(picture: torch.Tensor, behind: torch.Tensor, matte: torch.Tensor) -> torch.Tensor:
+    """A picture (3, H, W) where a matte (2 h, 2 w) is, over the picture behind (3, H, W).
+
+    The matte is smoothed and sharpened again, so that its contour is a line and not a row of squares.
+    """
+    rows = F.pad(matte[None, None].float(), (1, 1, 1, 1), mode="replicate")
+    smooth = F.avg_pool2d(F.avg_pool2d(rows, 2, stride=1), 2, stride=1)
+    share = F.interpolate(smooth, size=picture.shape[1:], mode="bilinear", align_corners=False)[0]
+    slope = max(0.5 / (1.0 - EDGE), CONTRAST * 2.0 * picture.shape[1] / matte.shape[0])
+    return torch.lerp(behind, picture, ((share - EDGE) * slope + 0.5).clamp(0.0, 1.0))
 
 
 def to_picture(picture: torch.Tensor, camera: Camera) -> np.ndarray:

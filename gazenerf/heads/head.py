@@ -12,6 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 
 from gazenerf.devices import choose_device, points_at_once, product_dtype
 from gazenerf.errors import UserError
@@ -20,6 +21,7 @@ from gazenerf.field.streams import StreamCondition
 from gazenerf.geometry import Gaze
 from gazenerf.geometry.paths import BeyondTraining, GazeRange
 from gazenerf.heads.bound import BoundHead
+from gazenerf.heads.feature_map import RayFeatures, cut_out
 from gazenerf.heads.interface import Part
 from gazenerf.heads.occupancy import MOVED, Occupancy
 from gazenerf.heads.upsampler import Upsampler, make_upsampler, upsample_window
@@ -235,18 +237,26 @@ class Head:
                 self._upsample = make_upsampler(self.field.renderer, self._backend)
             return self._upsample
 
-    def picture(self, features: torch.Tensor, opacity: torch.Tensor | None = None) -> torch.Tensor:
+    def picture(self, seen: RayFeatures, shape: tuple[int, int], turned: bool = False) -> torch.Tensor:
         """The picture (3, h * k, w * k) of a feature map.
 
         Args:
-            features: (C, h, w) over the background.
-            opacity: (h, w); where it is 0 the features are the background's own, and nothing is up-sampled far
-                from where it is not. None where that is not so, as where the background was turned with the eyes.
+            seen: Along the rays of h * w feature pixels.
+            shape: (h, w).
+            turned: The background was turned with the eyes; elsewhere it is the field's own where nothing is seen,
+                and nothing is up-sampled far from where something is.
         """
-        if opacity is None or self.device.type != "cpu":  # a GPU waits longer for the window than it saves
-            return self.upsample(features[None])[0]
-        shape = features.shape[1], features.shape[2]
-        return upsample_window(self.upsample, features[None], opacity > 0.0, lambda: self._picture_behind(*shape))
+        features = seen.features.T.reshape(1, -1, *shape)
+        if turned:
+            return self.upsample(features)[0]
+        if self.device.type == "cpu":
+            place = (seen.opacity > 0.0).reshape(shape)
+            if seen.matte is not None:
+                place = F.max_pool2d(place[None, None].float(), 7, stride=1, padding=3)[0, 0] > 0.0
+            picture = upsample_window(self.upsample, features, place, lambda: self._picture_behind(*shape))
+        else:  # a GPU waits longer for the window than it saves
+            picture = self.upsample(features)[0]
+        return picture if seen.matte is None else cut_out(picture, self._picture_behind(*shape), seen.matte)
 
     def _picture_behind(self, rows: int, columns: int) -> torch.Tensor:
         """(3, rows * k, columns * k) picture of the background alone; the last few sizes are kept."""

@@ -119,9 +119,14 @@ class DensityLattice:
         raw = F.grid_sample(self.raw, place, align_corners=True, padding_mode="border")
         return SOFTPLUS_GAIN * F.softplus(raw).reshape(points.shape[:-1])
 
-    def first_surface(self, rays_o: torch.Tensor, rays_d: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """See `gazenerf.heads.march.first_surface`; the network is not queried."""
-        return first_surface(self.density, LeapingSteps(self, rays_o, rays_d), rays_o, rays_d)
+    def first_surface(
+        self, rays_o: torch.Tensor, rays_d: torch.Tensor, start: torch.Tensor | None = None
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """See `gazenerf.heads.march.first_surface`; the network is not queried.
+
+        `start` (R,) is the distance from which a surface is looked for.
+        """
+        return first_surface(self.density, LeapingSteps(self, rays_o, rays_d, start=start), rays_o, rays_d)
 
 
 class LeapingSteps:
@@ -132,20 +137,28 @@ class LeapingSteps:
         rays_o, rays_d: (R, 3).
         count: Samples through the box.
         size: Samples per ray and block.
+        start: (R,) distance from which there are samples; the box's own when None.
     """
 
     def __init__(
-        self, lattice: DensityLattice, rays_o: torch.Tensor, rays_d: torch.Tensor, count: int = 96, size: int = 6
+        self,
+        lattice: DensityLattice,
+        rays_o: torch.Tensor,
+        rays_d: torch.Tensor,
+        count: int = 96,
+        size: int = 6,
+        start: torch.Tensor | None = None,
     ) -> None:
         self._near, self._far = box_interval(rays_o, rays_d, lattice.box)
         self.width = ((self._far - self._near) / count).clamp(min=1e-9)
+        from_here = self._near if start is None else torch.minimum(torch.maximum(self._near, start), self._far)
         cells = lattice.skip.shape[0]
         scale = cells / lattice.extent
         self._start, self._slope = (rays_o - lattice.box[0]) * scale, rays_d * scale
         self._skip, self._cells, self._count = lattice.skip.reshape(-1), cells, count
         self._within = torch.arange(size, device=rays_o.device) + 0.5
         everything = torch.arange(len(rays_o), device=rays_o.device)
-        self._number = ((self._leap(everything, self._near, 12) - self._near) / self.width).floor()
+        self._number = ((self._leap(everything, from_here, 12) - self._near) / self.width).floor()
 
     def _leap(self, rays: torch.Tensor, t: torch.Tensor, rounds: int) -> torch.Tensor:
         """Distances (A,) moved along rays (A,) over what is known to be empty."""

@@ -12,7 +12,7 @@ from gazenerf.errors import UserError
 from gazenerf.field.compositing import Composited, composite, composite_stream, composite_streams
 from gazenerf.field.sampling import RaySamples, ray_samples, shell_samples, slab_samples
 from gazenerf.geometry import Camera, camera_rays
-from gazenerf.heads.feature_map import FeatureGrid, RayFeatures, Window, to_picture
+from gazenerf.heads.feature_map import FeatureGrid, RayFeatures, Window, add_behind, to_picture
 from gazenerf.heads.interface import OPACITY_FLOOR, GeometryView, Part, RenderedView
 
 if TYPE_CHECKING:
@@ -43,19 +43,17 @@ def render_parts(bound: BoundHead, camera: Camera, parts: tuple[Part, ...]) -> R
         bound.streams_of(part)
     field, config = bound.field, bound.field.config
     grid = FeatureGrid.of(camera, config, bound.head.device)
-    rows, columns = grid.shape
     images: dict[Part, np.ndarray] = {}
     geometry: dict[Part, GeometryView] = {}
     with bound.head.quickly():
-        background = field.renderer.background(rows, columns)[0].flatten(1).T.float()
+        background = field.renderer.background(*grid.shape)[0].flatten(1).T.float()
         cache: dict[tuple[str, ...], RayFeatures] = {}
         for part in parts:
             seen = _part_features(bound, grid, background, part, cache)
-            opacity = seen.opacity.reshape(rows, columns)
             turned = part != "face" and (len(bound.streams_of(part)) == 1 or config.merge == "max")
-            picture = bound.head.picture(seen.features.T.reshape(-1, rows, columns), None if turned else opacity)
+            picture = bound.head.picture(seen, grid.shape, turned)
             if part == "eyes" and config.eyes_box is not None:
-                picture = _on_background(bound, picture, opacity)
+                picture = _on_background(bound, picture, seen.opacity.reshape(grid.shape))
             images[part] = to_picture(picture, camera)
             geometry[part] = grid.geometry(seen)
     return RenderedView(camera, images, geometry)
@@ -98,10 +96,12 @@ def _feature_map(
     if len(seen) and float(seen.median()) < SHALLOW:
         bound.head.warn_dense(f"a shell around the surface holds {float(seen.median()):.0%} of what is seen")
         return composite_rays(bound, grid.rays_o, grid.rays_d, streams, background, sparse=False)
+    found = _solid_rays(bound, grid.rays_o, grid.rays_d, streams, background, front=found)
     return grid.smooth_outline(
-        lambda rays_o, rays_d, behind, window: composite_rays(bound, rays_o, rays_d, streams, behind, window),
+        lambda rays_o, rays_d, behind, window: _solid_rays(bound, rays_o, rays_d, streams, behind, window),
         background,
         found,
+        cut=streams != ("eyes",) and bound.field.config.merge == "joint",
     )
 
 
@@ -122,7 +122,7 @@ def composite_near(
     """The head along rays whose surface is known to lie near a distance (R,); see `WINDOW`."""
     with bound.head.quickly():
         window = distance - WINDOW[0], distance + WINDOW[1]
-        return composite_rays(bound, rays_o, rays_d, tuple(bound.field.streams), background, window)
+        return _solid_rays(bound, rays_o, rays_d, tuple(bound.field.streams), background, window)
 
 
 def composite_rays(
@@ -134,7 +134,7 @@ def composite_rays(
     window: Window | None = None,
     sparse: bool = True,
 ) -> RayFeatures:
-    """Streams as one medium along rays.
+    """Streams as one medium along rays; where they are sampled around a surface, the first one only.
 
     Args:
         rays_o, rays_d: (R, 3).
@@ -146,7 +146,7 @@ def composite_rays(
     alone = streams == ("eyes",)
     background = bound.turn(background) if alone else background
     features, opacity = background.clone(), rays_o.new_zeros(len(rays_o))
-    distance = rays_o.new_full((len(rays_o),), torch.nan)
+    distance, end = rays_o.new_full((2, len(rays_o)), torch.nan)
     rays, samples = _sampled(bound, rays_o, rays_d, streams, window, sparse)
     front, left = (SHELL_FRONT, SHELL_LEFT) if sparse else (EVEN_FRONT, EVEN_LEFT)
     for index, t, deltas in _chunks(rays, samples, bound.head.chunk):
@@ -156,7 +156,27 @@ def composite_rays(
         features[index] = rows + (1.0 - alpha[:, None]) * background[index]
         opacity[index] = alpha
         distance[index] = torch.where(alpha >= OPACITY_FLOOR, expected, torch.nan)
-    return RayFeatures(features, opacity, distance)
+        end[index] = t[:, -1] + 0.5 * deltas[:, -1]
+    return RayFeatures(features, opacity, distance, end)
+
+
+def _solid_rays(
+    bound: BoundHead,
+    rays_o: torch.Tensor,
+    rays_d: torch.Tensor,
+    streams: tuple[str, ...],
+    background: torch.Tensor,
+    window: Window | None = None,
+    front: RayFeatures | None = None,
+) -> RayFeatures:
+    """`composite_rays` (or `front`, what it gave) and a second surface where the first one lets light through."""
+    if front is None:
+        front = composite_rays(bound, rays_o, rays_d, streams, background, window)
+
+    def look(rays: torch.Tensor, where: Window) -> RayFeatures:
+        return composite_rays(bound, rays_o[rays], rays_d[rays], streams, background[rays], where)
+
+    return add_behind(front, bound.turn(background) if streams == ("eyes",) else background, look)
 
 
 def _chunks(rays: torch.Tensor, samples: RaySamples, most: int):

@@ -3,7 +3,7 @@ from __future__ import annotations
 import torch
 
 from gazenerf.geometry import Camera, camera_rays
-from gazenerf.heads.march import first_surface
+from gazenerf.heads.march import crossing, first_surface
 from gazenerf.heads.occupancy import Occupancy, OccupiedSteps
 
 BOX = torch.tensor([[-1.5, -1.7, -1.5], [1.5, 1.5, 1.5]])
@@ -63,6 +63,22 @@ def test_first_surface_is_found_to_a_fraction_of_a_step() -> None:
         assert bool((hit == (rest > 0))[clear].all())
         both = clear & hit
         assert (distance - expected)[both].abs().max() < 0.02
+
+
+def test_two_samples_of_a_step_find_what_many_find() -> None:
+    soft = lambda points: 60.0 * torch.sigmoid((0.9 - points.norm(dim=-1)) / 0.01)  # noqa: E731
+    count = 200
+    rays_o, rays_d = (
+        torch.tensor([[0.0, 0.0, 12.0]]).repeat(count, 1),
+        torch.tensor([[0.0, 0.0, -1.0]]).repeat(count, 1),
+    )
+    middle = 11.1115 + torch.linspace(-0.015, 0.015, count)
+    given = rays_o, rays_d, middle, torch.full((count,), 0.034), torch.full((count,), 0.95)
+    few, many, one = (crossing(soft, *given, samples=samples) for samples in (2, 128, 1))
+    clear = (many - middle).abs() < 0.0165
+    assert clear.float().mean() > 0.5
+    apart, coarse = ((found - many)[clear].abs() for found in (few, one))
+    assert apart.median() < 0.0015 and apart.mean() < 0.7 * coarse.mean()
 
 
 def test_rays_that_lose_some_light_are_found_where_they_lose_most() -> None:
