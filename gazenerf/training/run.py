@@ -40,7 +40,7 @@ class TrainOptions:
 
     data: Path = option(help="captures from `gazenerf synthesize`", metavar="DIR")
     out: Path = option(help="where the run is written", metavar="DIR")
-    preset: str = option("small", "small (default), paper or tiny", metavar="NAME")
+    preset: str = option("small", "small (default), portrait, paper or tiny", metavar="NAME")
     resume: bool = option(False, "continue the run in --out")
     initial: Path | None = option(None, "start from this checkpoint", flag="--from", metavar="FILE")
     held_out: int = option(1, "people (the last ones) never trained on", metavar="N")
@@ -84,7 +84,7 @@ def train_field(options: TrainOptions, progress: Progress = silent) -> Path | No
     features = estimate_gaze = None
     if config.perceptual:
         try:
-            features = load_perceptual(config.perceptual_backbone)
+            features = load_perceptual(config.perceptual_backbone, config.perceptual_stages)
         except UserError as error:
             raise UserError(f"{error}; or train without it: --set perceptual=0") from error
     if config.functional:
