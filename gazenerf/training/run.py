@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from gazenerf.training.config import PRESETS, TrainConfig
 from gazenerf.training.gaze_estimator import load_gaze_estimator
 from gazenerf.training.loop import FIELD, TrainingStep, train
 from gazenerf.training.perceptual import load_perceptual
-from gazenerf.training.runtime import Runtime
+from gazenerf.training.runtime import COMPILE, Runtime
 from gazenerf.training.split import eyeballs_of, split_captures
 
 
@@ -34,6 +35,8 @@ class TrainOptions:
         held_out_views: Share of the views of each person kept out.
         settings: `KEY=VALUE` that change the preset.
         device, devices, precision: See `Runtime`.
+        compile: Whether `torch.compile` fuses the heavy operations; `auto` tries on one GPU.
+        minutes: Shape learning rate, perceptual start and geometry decay to so much time instead of to steps.
         stop_after: Save and stop after so many minutes.
         gaze_estimator: For the functional loss; the bundled one by default.
     """
@@ -49,16 +52,21 @@ class TrainOptions:
     device: str = option("auto", "where to compute (default: auto)", choices=("auto", "cpu", "cuda"))
     devices: int = option(1, "data-parallel over N devices", metavar="N")
     precision: str = option("auto", "of products (default: auto)", choices=("auto", "float32", "bfloat16"))
+    compile: str = option("auto", "torch.compile (default: auto, tried on one GPU)", choices=COMPILE)
+    minutes: float | None = option(None, "shape the schedule to this long instead of to steps", metavar="MINUTES")
     stop_after: float | None = option(None, "save and stop after this long", metavar="MINUTES")
     gaze_estimator: Path | None = option(None, "estimator for the functional loss", metavar="FILE")
 
 
-def train_field(options: TrainOptions, progress: Progress = silent) -> Path | None:
+def train_field(
+    options: TrainOptions, progress: Progress = silent, say: Callable[[str], None] = lambda text: None
+) -> Path | None:
     """Train a field.
 
     Args:
         options: See `TrainOptions`.
         progress: Told about steps, with the loss.
+        say: Told, in a line each, what a GPU could not do and what is done instead.
 
     Returns:
         The field's file; None in a process of a parallel run that writes nothing.
@@ -89,7 +97,7 @@ def train_field(options: TrainOptions, progress: Progress = silent) -> Path | No
             raise UserError(f"{error}; or train without it: --set perceptual=0") from error
     if config.functional:
         estimate_gaze = load_gaze_estimator(options.gaze_estimator)
-    runtime = Runtime(options.device, options.devices, options.precision)
+    runtime = Runtime(options.device, options.devices, options.precision, options.compile)
 
     def on_step(state: TrainingStep) -> None:
         progress(f"training, loss {sum(state.parts.values()):.4f}", state.step, state.steps)
@@ -106,9 +114,11 @@ def train_field(options: TrainOptions, progress: Progress = silent) -> Path | No
         runtime=runtime,
         resume=options.resume,
         initial=None if options.initial is None else load_field(options.initial),
+        minutes=options.minutes,
         stop_after=options.stop_after,
         about={"preset": options.preset, "data": captures.manifest},
         on_step=on_step,
+        say=say,
     )
     return options.out / FIELD if runtime.rank == 0 else None
 
