@@ -110,16 +110,6 @@ class TrainConfig:
 
 PRESETS: dict[str, TrainConfig] = {
     "small": TrainConfig(),
-    "portrait": TrainConfig(
-        field_preset="portrait",
-        steps=3600,
-        batch=10,
-        warmup=100,
-        perceptual=0.0179,
-        perceptual_backbone="vgg16",
-        perceptual_stages=4,
-        perceptual_start=0.2,
-    ),
     "tiny": TrainConfig(
         field_preset="tiny",
         steps=60,
@@ -155,6 +145,16 @@ PRESETS: dict[str, TrainConfig] = {
         perceptual_start=0.0,
         streams_every=1,
         ema=0.0,
+    ),
+    "portrait": TrainConfig(
+        field_preset="portrait",
+        steps=3600,
+        batch=10,
+        warmup=100,
+        perceptual=0.0179,
+        perceptual_backbone="vgg16",
+        perceptual_stages=4,
+        perceptual_start=0.2,
     ),
 }
 """`paper` follows Sec. 4.2; `small` is for a CPU, `portrait` for a GPU and pictures of 512 px; `tiny` is for tests."""

@@ -119,14 +119,33 @@ FUSED = Operations(fused_pictures, fused_perceptual, together=True)
 
 
 def compiled(operations: Operations, **how: Any) -> Operations:
-    """Operations through `torch.compile`, one program for each shape they meet.
+    """Operations whose square pictures go through `torch.compile`, one program for any number of them.
+
+    The crops around the eyes are a tenth of the pixels and run as they are: a second shape would cost
+    as long to compile as the whole pictures do.
 
     Args:
         operations: What is compiled, at its first use.
         how: Given to `torch.compile`.
     """
-    return Operations(
-        torch.compile(operations.pictures, dynamic=False, **how),
-        torch.compile(operations.perceptual, dynamic=False, **how),
-        operations.together,
-    )
+    pictures = torch.compile(operations.pictures, **how)
+    perceptual = torch.compile(operations.perceptual, **how)
+
+    def draw(renderer: NeuralRenderer, maps: torch.Tensor) -> torch.Tensor:
+        chosen = pictures if _square(maps.shape[1:3], maps) else operations.pictures
+        return chosen(renderer, maps)
+
+    def compare(features: FeatureMaps, images: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
+        chosen = perceptual if _square(images.shape[2:], images, targets) else operations.perceptual
+        return chosen(features, images, targets)
+
+    return Operations(draw, compare, operations.together)
+
+
+def _square(sides: torch.Size, *batches: torch.Tensor) -> bool:
+    """Whether both sides are alike; the number of pictures in the batches is then left open to the compiler."""
+    if sides[0] != sides[1]:
+        return False
+    for batch in batches:
+        torch._dynamo.maybe_mark_dynamic(batch, 0)  # pyright: ignore[reportPrivateImportUsage]
+    return True

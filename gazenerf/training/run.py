@@ -9,8 +9,10 @@ from pathlib import Path
 
 from gazenerf.checkpoints import load_field
 from gazenerf.data import CaptureSet
+from gazenerf.data.captures import Capture
 from gazenerf.errors import UserError
 from gazenerf.field.config import PRESETS as FIELD_PRESETS
+from gazenerf.field.config import FieldConfig
 from gazenerf.options import option
 from gazenerf.progress import Progress, silent
 from gazenerf.training.config import PRESETS, TrainConfig
@@ -79,16 +81,7 @@ def train_field(
     learned, watched = split_captures(captures, options.held_out, options.held_out_views)
     if not learned:
         raise UserError("nothing is left to train on; lower --held-out or --held-out-views")
-    identity, expression, texture, illumination = learned[0].codes.sizes
-    field_config = replace(
-        FIELD_PRESETS[config.field_preset],
-        identity=identity,
-        expression=expression,
-        texture=texture,
-        illumination=illumination,
-        image_size=learned[0].image.shape[0],
-    )
-    field_config = replace(field_config, **config.field_overrides)
+    field_config = _field_config(config, learned[0])
     features = estimate_gaze = None
     if config.perceptual:
         try:
@@ -121,6 +114,30 @@ def train_field(
         say=say,
     )
     return options.out / FIELD if runtime.rank == 0 else None
+
+
+def _field_config(config: TrainConfig, capture: Capture) -> FieldConfig:
+    """The preset's field at the captures' size and with their codes.
+
+    Raises:
+        UserError: there is no such field.
+    """
+    identity, expression, texture, illumination = capture.codes.sizes
+    size = capture.image.shape[0]
+    sizes = {
+        "identity": identity,
+        "expression": expression,
+        "texture": texture,
+        "illumination": illumination,
+        "image_size": size,
+    }
+    try:
+        return replace(FIELD_PRESETS[config.field_preset], **{**sizes, **config.field_overrides})
+    except (ValueError, TypeError) as error:
+        raise UserError(
+            f"captures of {size} px do not fit the field {config.field_preset!r}: {error}; "
+            "synthesize at another --size, or --set field_overrides"
+        ) from error
 
 
 def chosen_config(options: TrainOptions) -> TrainConfig:
