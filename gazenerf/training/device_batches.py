@@ -21,8 +21,8 @@ def sent(values: np.ndarray, device: torch.device) -> torch.Tensor:
 class DeviceBatchMaker:
     """The batches of a `BatchMaker`, of captures that lie on a device: pictures and parts as uint8, rays as tables.
 
-    Only the indices of a batch and its random numbers, drawn from the same generator in the same order,
-    go from the host to the device at a step.
+    Of a capture's depth they keep what a batch holds, one distance a ray. Only the indices of a batch and its
+    random numbers, drawn from the same generator in the same order, go from the host to the device at a step.
 
     Args:
         maker: The slow reference, whose captures and summaries are copied.

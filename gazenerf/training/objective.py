@@ -166,11 +166,14 @@ class Objective(nn.Module):
         head = (batch.parts > 0)[:, None]
         eyes = (batch.parts >= 2)[:, None]
         face = (batch.parts == 1)[:, None]
-        parts = {"whole": config.reconstruction * reconstruction_loss(render.image, batch.image, head)}
+        wanted = {"whole": (config.reconstruction, head)}
         if config.background_weight:
-            parts["background"] = config.background_weight * reconstruction_loss(render.image, batch.image, ~head)
+            wanted["background"] = (config.background_weight, ~head)
         if config.eyes_weight:
-            parts["eyes_merged"] = config.eyes_weight * reconstruction_loss(render.image, batch.image, eyes)
+            wanted["eyes_merged"] = (config.eyes_weight, eyes)
+        masks_of = [mask for _, mask in wanted.values()]
+        found = self.operations.reconstruction(render.image, batch.image, masks_of)
+        parts = {name: weight * loss for (name, (weight, _)), loss in zip(wanted.items(), found, strict=True)}
         if render.face_image is not None:
             parts["face"] = config.reconstruction * reconstruction_loss(render.face_image, batch.image, face)
         target = masks = None

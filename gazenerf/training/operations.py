@@ -15,7 +15,7 @@ import torch.nn.functional as F
 from torch import nn
 
 from gazenerf.field.neural_renderer import SLOPE, NeuralRenderer, Upsample
-from gazenerf.training.losses import perceptual_loss
+from gazenerf.training.losses import perceptual_loss, reconstruction_loss
 
 FeatureMaps = Callable[[torch.Tensor], Sequence[torch.Tensor]]
 """Pictures (B, 3, H, W) to the feature maps of a frozen network."""
@@ -27,11 +27,13 @@ class Operations:
 
     Attributes:
         pictures: A neural renderer and feature maps (B, h, w, C) to pictures (B, 3, H, W) float32 in (0, 1).
+        reconstruction: A picture, its target (B, 3, H, W) and masks (B, 1, H, W) to the loss of paper Eq. 5 in each.
         perceptual: Feature maps of a network, pictures and targets (B, 3, H, W) to the loss of paper Eq. 7.
         together: Pictures of one size go through `pictures` and `perceptual` in one pass.
     """
 
     pictures: Callable[[NeuralRenderer, torch.Tensor], torch.Tensor]
+    reconstruction: Callable[[torch.Tensor, torch.Tensor, Sequence[torch.Tensor]], list[torch.Tensor]]
     perceptual: Callable[[FeatureMaps, torch.Tensor, torch.Tensor], torch.Tensor]
     together: bool
 
@@ -102,6 +104,13 @@ def _blurred(maps: torch.Tensor) -> torch.Tensor:
     return 0.25 * (columns[:, :, :-2] + columns[:, :, 2:]) + 0.5 * maps
 
 
+def reconstruction_losses(
+    image: torch.Tensor, target: torch.Tensor, masks: Sequence[torch.Tensor]
+) -> list[torch.Tensor]:
+    """`reconstruction_loss` in several masks; only a compiler makes one pass of it."""
+    return [reconstruction_loss(image, target, mask) for mask in masks]
+
+
 def fused_perceptual(features: FeatureMaps, images: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
     """`perceptual_loss` whose differences stay in the precision of the maps; their means are float32."""
     with torch.no_grad():
@@ -111,10 +120,10 @@ def fused_perceptual(features: FeatureMaps, images: torch.Tensor, targets: torch
     return torch.stack(terms).sum()
 
 
-REFERENCE = Operations(reference_pictures, perceptual_loss, together=False)
+REFERENCE = Operations(reference_pictures, reconstruction_losses, perceptual_loss, together=False)
 """Each picture alone, by the field's own modules."""
 
-FUSED = Operations(fused_pictures, fused_perceptual, together=True)
+FUSED = Operations(fused_pictures, reconstruction_losses, fused_perceptual, together=True)
 """The same numbers up to rounding, in fewer passes."""
 
 
@@ -129,17 +138,22 @@ def compiled(operations: Operations, **how: Any) -> Operations:
         how: Given to `torch.compile`.
     """
     pictures = torch.compile(operations.pictures, **how)
+    reconstruction = torch.compile(operations.reconstruction, **how)
     perceptual = torch.compile(operations.perceptual, **how)
 
     def draw(renderer: NeuralRenderer, maps: torch.Tensor) -> torch.Tensor:
         chosen = pictures if _square(maps.shape[1:3], maps) else operations.pictures
         return chosen(renderer, maps)
 
+    def differ(image: torch.Tensor, target: torch.Tensor, masks: Sequence[torch.Tensor]) -> list[torch.Tensor]:
+        chosen = reconstruction if _square(image.shape[2:], image, target, *masks) else operations.reconstruction
+        return chosen(image, target, masks)
+
     def compare(features: FeatureMaps, images: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
         chosen = perceptual if _square(images.shape[2:], images, targets) else operations.perceptual
         return chosen(features, images, targets)
 
-    return Operations(draw, compare, operations.together)
+    return Operations(draw, differ, compare, operations.together)
 
 
 def _square(sides: torch.Size, *batches: torch.Tensor) -> bool:

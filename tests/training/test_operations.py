@@ -188,7 +188,11 @@ def test_compiled_operations_are_one_program_each_and_give_the_same_numbers() ->
         image, target = torch.rand(pictures, 3, 32, 32), torch.rand(pictures, 3, 32, 32)
         torch.testing.assert_close(fast.pictures(renderer, maps), FUSED.pictures(renderer, maps))
         torch.testing.assert_close(fast.perceptual(network, image, target), FUSED.perceptual(network, image, target))
-    assert len(programs) == 2
+        masks = [target[:, :1] > 0.5, target[:, :1] > 0.9]
+        torch.testing.assert_close(
+            fast.reconstruction(image, target, masks), FUSED.reconstruction(image, target, masks)
+        )
+    assert len(programs) == 3
     crop = torch.randn(2, 6, 16, 24)
     torch.testing.assert_close(fast.pictures(renderer, crop), FUSED.pictures(renderer, crop))
-    assert len(programs) == 2, "crops run as they are"
+    assert len(programs) == 3, "crops run as they are"

@@ -21,7 +21,6 @@ from gazenerf.training.feed import Feed
 from gazenerf.training.initial import starting_field
 from gazenerf.training.loop import train
 from gazenerf.training.objective import Objective, schedule
-from gazenerf.training.operations import Operations
 from gazenerf.training.pace import Pace
 from gazenerf.training.runtime import Runtime
 
@@ -119,7 +118,7 @@ def test_what_cannot_be_compiled_runs_plainly_and_says_so_once(toy_captures, toy
     def broken(*args):
         raise RuntimeError("no compiler\nis installed")
 
-    monkeypatch.setattr("gazenerf.training.runtime.compiled", lambda ops: Operations(broken, broken, ops.together))
+    monkeypatch.setattr("gazenerf.training.runtime.compiled", lambda ops: replace(ops, pictures=broken))
     said: list[str] = []
     runtime = Runtime("cpu", precision="float32", compile="on")
     run(toy_captures, tmp_path / "compiled", toy_eyeballs, runtime=runtime, say=said.append)
