@@ -136,20 +136,17 @@ def train(
     watch = BatchMaker(held_out, field_config.feature_size, field_config.ray_offset, config.shell is None)
     run.begin(wrapped, Feed(maker, config, runtime, say), say)
     model.train()
-    try:
-        while not run.done:
-            values = run.advance()
-            if runtime.rank == 0:
-                if on_step is not None:
-                    on_step(TrainingStep(run.step, run.pace.steps_expected(run.step), run.seconds, values))
-                if len(held_out) and (run.step % preview_every == 0 or run.done):
-                    run.preview(watch)
-            if run.step % save_every == 0:
-                run.save()
-            if stop_after is not None and runtime.agree(run.seconds) > 60.0 * stop_after:
-                break
-    finally:
-        run.end()
+
+    def after_step(values: dict[str, float]) -> None:
+        if runtime.rank == 0:
+            if on_step is not None:
+                on_step(TrainingStep(run.step, run.pace.steps_expected(run.step), run.seconds, values))
+            if len(held_out) and (run.step % preview_every == 0 or run.done):
+                run.preview(watch)
+        if run.step % save_every == 0:
+            run.save()
+
+    run.finish(after_step, stop_after)
     run.save()
     model.load_state_dict(run.weights())
     return model.eval()
@@ -209,9 +206,15 @@ class _Run:
         self._wrapped, self._feed, self._say = wrapped, feed, say
         self._started = time.monotonic()
 
-    def end(self) -> None:
-        """Stop what works in the background."""
-        self._feed.close()
+    def finish(self, after_step: Callable[[dict[str, float]], None], stop_after: float | None) -> None:
+        """Step until the run is done or so many minutes have passed; what works in the background is stopped."""
+        try:
+            while not self.done:
+                after_step(self.advance())
+                if stop_after is not None and self.runtime.agree(self.seconds) > 60.0 * stop_after:
+                    break
+        finally:
+            self._feed.close()
 
     @property
     def seconds(self) -> float:
