@@ -27,14 +27,16 @@ from gazenerf.pickles import Options, TensorRecord, TorchArchive
 from gazenerf.tensor_files import TensorFileKind, open_tensors
 
 FORMAT = "gazenerf-field-1"
-BUNDLED = Path(__file__).parent / "assets" / "field.safetensors"
+FIELDS = Path(__file__).parent / "assets" / "fields"
+BUNDLED = FIELDS / "portrait.safetensors"
+"""The field that is used where none is named."""
 MAX_BYTES = 2**30
 MAX_PARAMETERS = 2**28
 KIND = TensorFileKind(
     "checkpoint",
     FORMAT,
     MAX_BYTES,
-    absent="give --checkpoint a .safetensors file from `gazenerf train`",
+    absent="give --checkpoint portrait or small, which are bundled, or a .safetensors file from `gazenerf train`",
     foreign="a published checkpoint is converted by `gazenerf import-checkpoint`",
     fix="give a .safetensors file that gazenerf wrote",
 )
@@ -74,13 +76,20 @@ def save_field(
         save_file(tensors, temporary, metadata=metadata)
 
 
-def load_field(path: str | Path | None = None) -> TwoStreamField:
-    """Read a field in evaluation mode; the bundled one when `path` is None.
+def bundled_fields() -> dict[str, Path]:
+    """Name to file of the fields that ship with the package."""
+    return {path.stem: path for path in sorted(FIELDS.glob("*.safetensors"))}
+
+
+def load_field(name_or_path: str | Path | None = None) -> TwoStreamField:
+    """A bundled field by name, or any field by file, in evaluation mode; `BUNDLED` when None.
 
     Raises:
         UserError: missing, too large, damaged, not a field, of the wrong shapes, or not finite.
     """
-    return _load(BUNDLED if path is None else Path(path))
+    if name_or_path is None:
+        return _load(BUNDLED)
+    return _load(bundled_fields().get(str(name_or_path), Path(name_or_path)))
 
 
 @lru_cache(maxsize=1)

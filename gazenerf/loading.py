@@ -5,20 +5,28 @@ from __future__ import annotations
 from pathlib import Path
 
 from gazenerf.checkpoints import load_field
+from gazenerf.devices import choose_device
 from gazenerf.errors import UserError
 from gazenerf.heads import Head
 from gazenerf.subjects import bundled_subjects, load_subject
 
 
-def load(subject: str | Path | None = None, checkpoint: str | Path | None = None) -> Head:
+def load(
+    subject: str | Path | None = None,
+    checkpoint: str | Path | None = None,
+    device: str = "auto",
+    precision: str = "auto",
+) -> Head:
     """A head to render, mesh and check.
 
     Args:
         subject: A bundled name or a subject file; the first bundled one by default.
-        checkpoint: A field as safetensors; the bundled one by default.
+        checkpoint: A bundled field's name (`portrait`, `small`) or a field's file; `portrait` by default.
+        device: `auto` (a CUDA GPU where PyTorch sees one), `cpu`, `cuda` or `cuda:N`.
+        precision: Of matrix products, one of `gazenerf.devices.PRECISIONS`.
 
     Raises:
-        UserError: either cannot be read, they do not fit together, or nothing is bundled.
+        UserError: either cannot be read, they do not fit together, nothing is bundled, or there is no such device.
 
     Example:
         >>> head = gazenerf.load("ada")
@@ -27,4 +35,5 @@ def load(subject: str | Path | None = None, checkpoint: str | Path | None = None
     name = subject or next(iter(bundled_subjects()), None)
     if name is None:
         raise UserError("no subject is bundled with this installation; give --subject FILE.safetensors")
-    return Head(load_field(checkpoint), load_subject(name))
+    where = choose_device(device)  # before anything is read
+    return Head(load_field(checkpoint), load_subject(name), device=where, precision=precision)

@@ -41,12 +41,14 @@ gazenerf=("$python" -m gazenerf)
 keep_memory=(env MALLOC_MMAP_THRESHOLD_=8589934592 MALLOC_TRIM_THRESHOLD_=17179869184 MALLOC_TOP_PAD_=1073741824)
 
 people=396 views=12 watched_views=60 size=512 share=0.05
+workers=()
 train=()
 measure=(--limit 3)
 subjects=()
 weights=$("$python" -c 'from gazenerf.checkpoints import BUNDLED; print(BUNDLED)')
 if [ -n "$dry" ]; then
 	people=15 views=1 watched_views=2 size=64 share=0.5 minutes=0.05
+	workers=(--workers 1)
 	train=(--device cpu --set batch=2 warmup=5 perceptual=0
 		'field_overrides={"feature_size": 16, "hidden": 32, "feature_channels": 24}')
 	measure=(--limit 1 --no-iris)
@@ -55,8 +57,10 @@ if [ -n "$dry" ]; then
 	mkdir -p "$folder/subjects"
 fi
 
-"${gazenerf[@]}" synthesize --out "$folder/people" --people "$people" --views "$views" --size "$size" --seed 1
-"${gazenerf[@]}" synthesize --out "$folder/watched" --people 14 --views "$watched_views" --size "$size" --seed 1
+"${gazenerf[@]}" synthesize --out "$folder/people" --people "$people" --views "$views" --size "$size" --seed 1 \
+	${workers[@]+"${workers[@]}"}
+"${gazenerf[@]}" synthesize --out "$folder/watched" --people 14 --views "$watched_views" --size "$size" --seed 1 \
+	${workers[@]+"${workers[@]}"}
 "$python" "$scripts/join_captures.py" --base "$folder/people" --more "$folder/watched" --held-out 12 13 \
 	--out "$folder/learned"
 "${keep_memory[@]}" "${gazenerf[@]}" train --data "$folder/learned" --out "$folder/run" --preset portrait --held-out 0 \

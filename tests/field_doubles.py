@@ -54,14 +54,14 @@ class BallStream(Stream):
 
     def __init__(self, config: FieldConfig, centre: tuple[float, float, float], radius: float) -> None:
         super().__init__(config)
-        self.centre, self.radius, self.softness = torch.tensor(centre), radius, 0.002
+        self.centre, self.radius, self.softness = centre, radius, 0.002
 
     def query(
         self, points: torch.Tensor, condition: StreamCondition, features: bool = True
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        inside = self.radius - (points - self.centre).norm(dim=-1)
+        inside = self.radius - (points - points.new_tensor(self.centre)).norm(dim=-1)
         density = 200.0 * torch.sigmoid(inside / self.softness)
-        return density, torch.ones(*points.shape[:-1], self.config.hidden // 2) if features else torch.empty(0)
+        return density, points.new_ones(*points.shape[:-1], self.config.hidden // 2 if features else 0)
 
 
 @dataclass(frozen=True)
@@ -89,10 +89,13 @@ class SoftStream(BallStream):
         self, points: torch.Tensor, condition: StreamCondition, features: bool = True
     ) -> tuple[torch.Tensor, torch.Tensor]:
         assert isinstance(condition, ShiftedCondition)
-        inside = self.radius - (points - self.centre - torch.tensor([0.0, condition.shift, 0.0])).norm(dim=-1)
+        x, y, z = self.centre
+        inside = self.radius - (points - points.new_tensor([x, y + condition.shift, z])).norm(dim=-1)
         density = self.density_of(inside)
-        waves = torch.sin(points @ torch.linspace(-3, 3, 3 * (self.config.hidden // 2)).reshape(3, -1))
-        return density, waves if features else torch.empty(0)
+        if not features:
+            return density, points.new_empty(0)
+        directions = torch.linspace(-3, 3, 3 * (self.config.hidden // 2), device=points.device).reshape(3, -1)
+        return density, torch.sin(points @ directions)
 
 
 def soft_field(drift: float = 0.0, **changes: Any) -> TwoStreamField:

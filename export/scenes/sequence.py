@@ -10,13 +10,13 @@ import torch
 import trimesh
 from scipy import sparse
 
+from gazenerf.devices import CPU_CHUNK as CHUNK
 from gazenerf.errors import UserError
 from gazenerf.export.formats.gltf import Morph
 from gazenerf.export.mesh.sphere_fit import Eyeball
 from gazenerf.export.scenes.rig import Scene, eyes_clip
 from gazenerf.geometry import Gaze
 from gazenerf.heads.interface import BoundField, HeadField
-from gazenerf.heads.march import CHUNK
 from gazenerf.progress import Progress, silent
 
 MAX_GAZES = 240

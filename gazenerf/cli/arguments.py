@@ -21,23 +21,38 @@ class SourceArguments:
 
     Attributes:
         subject: A bundled name or a subject file; the first bundled one by default.
-        checkpoint: Weights; the bundled ones by default.
+        checkpoint: A bundled field's name or a file of weights; `portrait` by default.
+        device: Where the field is computed.
+        precision: Of matrix products.
     """
 
     subject: str | None = option(
         None, "a bundled name or a subject file (default: the first bundled; see `gazenerf subjects`)", metavar="S"
     )
-    checkpoint: Path | None = option(None, "weights (default: the bundled field)", metavar="FILE")
+    checkpoint: Path | None = option(
+        None, "portrait (512 px) or small (256 px), which are bundled, or a file (default: portrait)", metavar="FIELD"
+    )
+
+    device: str = option(
+        "auto", "where the field is computed: cpu, cuda, or auto for a GPU where there is one (default: auto)",
+        metavar="DEVICE",
+    )  # fmt: skip
+
+    precision: str = option(
+        "auto", "of matrix products: float32, float16, bfloat16, or auto for float16 on a GPU and float32 on a CPU "
+        "(default: auto)", metavar="TYPE",
+    )  # fmt: skip
 
     def load(self) -> Head:
         """The head.
 
         Raises:
-            UserError: the field or the subject cannot be read or do not fit, or nothing is bundled.
+            UserError: the field or the subject cannot be read or do not fit, nothing is bundled, or there is no such
+                device.
         """
         from gazenerf.loading import load
 
-        return load(self.subject, self.checkpoint)
+        return load(self.subject, self.checkpoint, self.device, self.precision)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,7 +17,7 @@ from gazenerf.cli.libraries import MissingLibrary, naming_missing_libraries
 from gazenerf.cli.parser import words
 from gazenerf.errors import UserError
 from gazenerf.heads import Head
-from gazenerf.options import option
+from gazenerf.options import option, options_of
 from gazenerf.progress import Progress
 
 HELP = "orbit, gaze grid, meshes and check of the bundled subject in one folder"
@@ -116,7 +116,9 @@ def _check_writable(out: Path) -> None:
 
 def stages(options: Options) -> list[Stage]:
     """The jobs of the demo."""
-    out, source = options.out, {"subject": options.subject, "checkpoint": options.checkpoint, "overwrite": True}
+    out = options.out
+    source: dict[str, Any] = {name: getattr(options, name) for name in options_of(SourceArguments)}
+    source["overwrite"] = True
     check_options = check.Options(out=out / "check", **source)
     if options.quick:
         check_options = replace(check_options, views=3, gazes=1, size=128, error_mesh=False)

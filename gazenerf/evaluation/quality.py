@@ -118,7 +118,7 @@ def evaluate_field(
     for person in people:
         codes = next(capture.codes for capture in captures if capture.person == person)
         still = Codes(codes.identity, np.zeros_like(codes.expression), codes.texture, codes.illumination)
-        head = Head(model, Subject("iris", still, still), bfloat16=bfloat16)
+        head = Head(model, Subject("iris", still, still), precision="bfloat16" if bfloat16 else "auto")
         for pitch, yaw in iris_gazes:
             for row in _iris_rows(head, Gaze.from_degrees(pitch, yaw), head_model, instruments):
                 tally.add(person, row)
@@ -138,7 +138,7 @@ def evaluate_capture(
 ) -> dict[str, float]:
     """The measurements of one capture, by `UNITS`; those that do not apply are left out."""
     subject = Subject(f"person-{capture.person}", capture.codes, capture.codes)
-    bound = Head(model, subject, bfloat16=bfloat16).at(capture.gaze)
+    bound = Head(model, subject, precision="bfloat16" if bfloat16 else "auto").at(capture.gaze)
     image = bound.render(capture.camera).image
     target = capture.image.astype(np.float32) / 255.0
     head = capture.head_mask

@@ -23,18 +23,19 @@ def gaze_rotation(label: torch.Tensor) -> torch.Tensor:
 def rotate_features(features: torch.Tensor, label: torch.Tensor) -> torch.Tensor:
     """Rotate features in groups of three (paper Sec. 3.2, "3D awareness").
 
-    Channel 3k + j is component j of group k; each row vector v becomes v R.
+    Channel 3k + j is component j of group k; each row vector v becomes v R, in float32 whatever autocast says.
 
     Args:
         features: (..., C), C a multiple of 3.
         label: (..., 2) the streams' gaze label, broadcast over leading dimensions.
     """
-    rotation = gaze_rotation(label.float())
-    groups = features.float().unflatten(-1, (-1, 3))
-    if rotation.dim() == groups.dim() and rotation.shape[-3] == 1:  # one product a picture instead of one a feature
-        turned = groups.flatten(-3, -2) @ rotation.squeeze(-3)
-        return turned.unflatten(-2, groups.shape[-3:-1]).flatten(-2)
-    return (groups @ rotation).flatten(-2)
+    with torch.autocast(features.device.type, enabled=False):
+        rotation = gaze_rotation(label.float())
+        groups = features.float().unflatten(-1, (-1, 3))
+        if rotation.dim() == groups.dim() and rotation.shape[-3] == 1:  # one product a picture, not one a feature
+            turned = groups.flatten(-3, -2) @ rotation.squeeze(-3)
+            return turned.unflatten(-2, groups.shape[-3:-1]).flatten(-2)
+        return (groups @ rotation).flatten(-2)
 
 
 def keep_features(features: torch.Tensor, label: torch.Tensor) -> torch.Tensor:

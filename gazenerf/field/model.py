@@ -106,13 +106,14 @@ class TwoStreamField(nn.Module):
             merge composites both densities as one medium.
         """
         config, size, batch = self.config, self.config.feature_size, shape_code.shape[0]
-        index = torch.arange(size, dtype=torch.float32) + config.ray_offset
+        device = rotation.device
+        index = torch.arange(size, dtype=torch.float32, device=device) + config.ray_offset
         rows, columns = torch.meshgrid(index, index, indexing="ij")
         pixels = torch.stack([columns, rows, torch.ones_like(rows)]).reshape(1, 3, -1)
         directions = rotation @ (inv_intrinsics @ pixels)
         directions = directions / directions.norm(dim=1, keepdim=True)
         stretch = 1.0 / directions[:, 2:].abs()  # ray length per unit of z
-        share = torch.linspace(0.0, 1.0, config.samples + 1)
+        share = torch.linspace(0.0, 1.0, config.samples + 1, device=device)
         height = position[:, 2]
         displacement = ((height - config.z_near) * (1.0 - share) + (height - config.z_far) * share)[:, None]
         deltas = (displacement[..., 1:] - displacement[..., :-1]) * stretch.transpose(1, 2)

@@ -14,15 +14,15 @@ MIN_CHANNELS = 32
 SLOPE = 0.2
 
 
-def blur_kernel(channels: int) -> torch.Tensor:
+def blur_kernel(channels: int, device: torch.device | None = None) -> torch.Tensor:
     """(C, 1, 3, 3) normalised [1 2 1] x [1 2 1] for each channel."""
-    taps = torch.tensor([0.25, 0.5, 0.25])
+    taps = torch.tensor([0.25, 0.5, 0.25], device=device)
     return (taps[:, None] * taps[None, :]).expand(channels, 1, 3, 3)
 
 
 def blur(images: torch.Tensor, channels: int) -> torch.Tensor:
     """`blur_kernel` with reflected borders, (B, C, H, W); C is given as a number so that tracing knows it."""
-    kernel = blur_kernel(channels).to(images)
+    kernel = blur_kernel(channels, images.device).to(images)
     rows = torch.cat([images[:, :, 1:2], images, images[:, :, -2:-1]], dim=2)
     padded = torch.cat([rows[:, :, :, 1:2], rows, rows[:, :, :, -2:-1]], dim=3)
     return F.conv2d(padded, kernel, groups=channels)

@@ -27,7 +27,7 @@ class CameraOptions:
         fov: Field of view, degrees.
     """
 
-    size: int = option(256, "width and height of a picture (default: 256)", metavar="PX", group=CAMERA)
+    size: int = option(512, "width and height of a picture (default: 512)", metavar="PX", group=CAMERA)
     distance: float = option(12.0, "from the origin (default: 12)", metavar="UNITS", group=CAMERA)
     fov: float = option(14.2, "field of view (default: 14.2)", metavar="DEG", group=CAMERA)
 

@@ -95,6 +95,11 @@ class AnalyticField:
         )
 
     @property
+    def device(self) -> torch.device:
+        """Exact fields are computed on the CPU."""
+        return torch.device("cpu")
+
+    @property
     def parts(self) -> tuple[Part, ...]:
         """Both streams and their combination."""
         return PARTS
@@ -168,6 +173,11 @@ class AnalyticHead:
 
     def __init__(self, make: Callable[[Gaze], BoundField] = AnalyticField) -> None:
         self._make = make
+
+    @property
+    def device(self) -> torch.device:
+        """Exact fields are computed on the CPU."""
+        return torch.device("cpu")
 
     @property
     def subject(self) -> Subject:

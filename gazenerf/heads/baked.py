@@ -26,7 +26,6 @@ from gazenerf.heads.feature_map import FeatureGrid, RayFeatures, Window, to_pict
 from gazenerf.heads.head import Head
 from gazenerf.heads.interface import OPACITY_FLOOR, GeometryView, Part, RenderedView
 from gazenerf.heads.lattice import Band, DensityLattice
-from gazenerf.heads.march import CHUNK
 from gazenerf.heads.occupancy import Occupancy
 from gazenerf.heads.render import composite_near
 
@@ -65,12 +64,13 @@ class FeatureLattice:
 
     def __init__(self, band: Band, features: torch.Tensor) -> None:
         self.size = band.inside.shape[0]
-        row = torch.zeros(self.size**3, dtype=torch.int32)
-        row[self._flat(band.vertices)] = torch.arange(1, len(features) + 1, dtype=torch.int32)
+        device = features.device
+        row = torch.zeros(self.size**3, dtype=torch.int32, device=device)
+        row[self._flat(band.vertices)] = torch.arange(1, len(features) + 1, dtype=torch.int32, device=device)
         self.row = row
         self.table = torch.cat([features.new_zeros(1, features.shape[1]), features])
         self.low, self.scale = band.box[0], (self.size - 1) / (band.box[1] - band.box[0])
-        self.corners = self._flat(CORNERS)
+        self.corners = self._flat(CORNERS.to(device))
 
     def _flat(self, index: torch.Tensor) -> torch.Tensor:
         return (index[..., 0] * self.size + index[..., 1]) * self.size + index[..., 2]
@@ -138,12 +138,12 @@ def bake(head: Head, gaze: Gaze) -> BakedHead:
     if head.sampler != "guided" or config.streams != "two" or config.merge != "joint":
         raise UserError("only fields of two streams, sampled around a surface and merged as one medium, can be baked")
     bound = head.at(gaze)
-    with torch.inference_mode():
-        eyes = head.occupancy(("eyes",))
-        band = Band.of(head.occupancy(("face", "eyes")), eyes.cells)
+    with head.quickly():
+        eyes = head.grids["eyes"].grown(1)
+        band = Band.of(head.occupancy(("face", "eyes")), head.grids["eyes"].cells)
         if not head.sparse or len(band.vertices) > MOST_OF_THE_BOX * band.inside.numel():
             raise UserError("the density of this field is nearly everywhere; there is no surface to bake")
-        found = [bound.features(points) for points in band.points.split(CHUNK // 4)]
+        found = head.in_chunks(bound.features, band.points, 4)
         density = DensityLattice(band, torch.cat([item[0] for item in found]))
         features = FeatureLattice(band, torch.cat([item[1] for item in found]))
     report = BakeReport(time.perf_counter() - started, len(band.vertices), density.nbytes + features.nbytes, gaze)
@@ -167,6 +167,11 @@ class BakedHead:
         return self.baked.report
 
     @property
+    def device(self) -> torch.device:
+        """See `HeadField`."""
+        return self.head.device
+
+    @property
     def trained_range(self) -> GazeRange | None:
         """See `HeadField`."""
         return self.head.trained_range
@@ -187,6 +192,11 @@ class BakedBoundHead:
         self.subject, self.gaze, self.box = bound.subject, bound.gaze, bound.box
         self.metres_per_unit, self.weights_hash = bound.metres_per_unit, bound.weights_hash
         self.held = bound.gaze == baked.report.gaze
+
+    @property
+    def device(self) -> torch.device:
+        """See `BoundField`."""
+        return self.bound.device
 
     @property
     def parts(self) -> tuple[Part, ...]:
@@ -215,18 +225,18 @@ class BakedBoundHead:
             view = self.bound.render(camera, rest)
             images, geometry = dict(view.images), dict(view.geometry)
         if "head" in parts:
-            images["head"], geometry["head"] = self._render_head(camera)
+            images["head"], geometry["head"] = self.bound.head.within_memory(lambda: self._render_head(camera))
         return RenderedView(camera, {part: images[part] for part in parts}, geometry)
 
     def _render_head(self, camera: Camera) -> tuple[np.ndarray, GeometryView]:
         head = self.bound.head
         grid = FeatureGrid.of(camera, head.field.config, head.device)
         rows, columns = grid.shape
-        with torch.inference_mode():
+        with head.quickly():
             background = head.field.renderer.background(rows, columns)[0].flatten(1).T.float()
             found = self._composited(grid.rays_o, grid.rays_d, background)
             seen = grid.smooth_outline(self._composited, background, found)
-            picture = head.upsample(seen.features.T.reshape(1, -1, rows, columns))[0]
+            picture = head.picture(seen.features.T.reshape(-1, rows, columns), seen.opacity.reshape(rows, columns))
         return to_picture(picture, camera), grid.geometry(seen)
 
     def _composited(

@@ -12,7 +12,7 @@ from gazenerf.errors import UserError
 from gazenerf.field.compositing import EPSILON, StreamSamples
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.heads.interface import PARTS, GeometryView, Part, RenderedView
-from gazenerf.heads.march import CHUNK, first_surface
+from gazenerf.heads.march import first_surface
 from gazenerf.heads.normals import density_normals
 from gazenerf.heads.occupancy import OccupiedSteps
 from gazenerf.heads.render import published_pass, render_geometry, render_parts
@@ -46,6 +46,11 @@ class BoundHead:
         return f"BoundHead({self.subject.name!r}, pitch {pitch:.1f}, yaw {yaw:.1f} degrees)"
 
     @property
+    def device(self) -> torch.device:
+        """Where densities and pictures are computed."""
+        return self.head.device
+
+    @property
     def parts(self) -> tuple[Part, ...]:
         """See `BoundField`."""
         return self.head.parts
@@ -72,17 +77,21 @@ class BoundHead:
     # Densities
 
     def density(self, points: torch.Tensor, part: Part = "head") -> torch.Tensor:
-        """Density (N,) per world unit at points (N, 3); gradients flow to points that ask for them."""
+        """Density (N,) per world unit at points (N, 3); gradients flow to points that ask for them.
+
+        The points may lie on any device; the densities come back to it.
+        """
         names = self.streams_of(part)
-        with torch.autocast(points.device.type, dtype=torch.bfloat16, enabled=self.head.bfloat16):
+        here = points.to(self.device)
+        with self.head.products():
             if points.requires_grad:
-                return self._density(points, names)
+                return self._density(here, names).to(points.device)
             with torch.no_grad():
-                return self.density_of(names, points)
+                return self.head.within_memory(lambda: self.density_of(names, here)).to(points.device)
 
     def density_of(self, streams: tuple[str, ...], points: torch.Tensor) -> torch.Tensor:
         """Summed density (N,) of streams at points (N, 3), a chunk at a time."""
-        return torch.cat([self._density(chunk, streams) for chunk in points.split(CHUNK)])
+        return torch.cat([self._density(chunk, streams) for chunk in points.split(self.head.chunk)])
 
     def _density(self, points: torch.Tensor, streams: tuple[str, ...]) -> torch.Tensor:
         total = points.new_zeros(len(points))
@@ -125,7 +134,8 @@ class BoundHead:
     def normals(self, points: torch.Tensor, part: Part = "head", radius: float = NORMAL_RADIUS) -> torch.Tensor:
         """(N, 3) unit outward normals at points (N, 3): minus the density gradient, smoothed over `radius`."""
         with self.head.quickly():
-            return density_normals(partial(self.density, part=part), points, radius)
+            found = density_normals(partial(self.density, part=part), points.to(self.device), radius)
+        return found.to(points.device)
 
     # Features
 
@@ -162,14 +172,14 @@ class BoundHead:
         A size that is not a multiple is rendered at the next one and resampled. Around the eyes the
         `eyes` picture is the plain background where training never showed that stream (`eyes_box`).
         """
-        return render_parts(self, camera, parts)
+        return self.head.within_memory(lambda: render_parts(self, camera, parts))
 
     def render_geometry(self, camera: Camera, part: Part = "head", normals: bool = False) -> GeometryView:
         """Opacity and expected depth along the rays of every pixel; for `head`, of both media as one.
 
         With `normals`, minus the direction in which density grows at the surface.
         """
-        return render_geometry(self, camera, part, normals)
+        return self.head.within_memory(lambda: render_geometry(self, camera, part, normals))
 
     def render_slow(self, camera: Camera) -> dict[str, torch.Tensor]:
         """The published forward pass at the field's own size; see `TwoStreamField.published_forward`.

@@ -44,6 +44,10 @@ INSIDE = np.array([[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]])
 """Four rays of a feature pixel, from its own ray, in feature pixels."""
 
 
+CROSS = ((3, 1), (1, 3))
+"""Sides of the windows that together are a pixel and the four beside it."""
+
+
 @dataclass(frozen=True)
 class FeatureGrid:
     """Rays of the feature map of a picture.
@@ -73,11 +77,16 @@ class FeatureGrid:
         """(h, w)."""
         return self.grid.shape[0], self.grid.shape[1]
 
-    def outline(self, opacity: torch.Tensor) -> np.ndarray:
+    def outline(self, opacity: torch.Tensor) -> torch.Tensor:
         """(E,) indices of the feature pixels on an outline of opacity (h * w,)."""
-        solid = (opacity >= 0.5).reshape(self.shape).cpu().numpy().astype(np.uint8)
-        cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-        return np.flatnonzero(cv2.dilate(solid, cross) != cv2.erode(solid, cross))
+        solid = (opacity >= 0.5).reshape(1, 1, *self.shape).float()
+
+        def most(values: torch.Tensor) -> torch.Tensor:
+            """The largest of each pixel and the four beside it."""
+            along = (F.max_pool2d(values, side, stride=1, padding=(side[0] // 2, side[1] // 2)) for side in CROSS)
+            return torch.maximum(*along)
+
+        return (most(solid) != -most(-solid)).flatten().nonzero()[:, 0]
 
     def smooth_outline(self, composite: Composite, background: torch.Tensor, found: RayFeatures) -> RayFeatures:
         """Features and opacity along the outline averaged over four rays per feature pixel, in place.
@@ -89,15 +98,14 @@ class FeatureGrid:
         outline = self.outline(opacity)
         if not len(outline):
             return found
-        device = background.device
-        rays_o, rays_d = camera_rays(self.camera, self.grid.reshape(-1, 2)[outline, None] + INSIDE, device)
-        index = torch.from_numpy(outline).to(device)
-        window = self._beside(distance)[:, index].repeat_interleave(4, dim=1)
+        inner = self.grid.reshape(-1, 2)[outline.cpu().numpy(), None] + INSIDE
+        rays_o, rays_d = camera_rays(self.camera, inner, background.device)
+        window = self._beside(distance)[:, outline].repeat_interleave(4, dim=1)
         fine, alpha, _ = composite(
-            rays_o, rays_d, background[index].repeat_interleave(4, dim=0), (window[0], window[1])
+            rays_o, rays_d, background[outline].repeat_interleave(4, dim=0), (window[0], window[1])
         )
-        features[index] = fine.reshape(len(outline), 4, -1).mean(1)
-        opacity[index] = alpha.reshape(-1, 4).mean(1)
+        features[outline] = fine.reshape(len(outline), 4, -1).mean(1)
+        opacity[outline] = alpha.reshape(-1, 4).mean(1)
         return found
 
     def geometry(self, seen: RayFeatures) -> GeometryView:

@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 import threading
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 import torch
 
+from gazenerf.devices import choose_device, points_at_once, product_dtype
 from gazenerf.errors import UserError
 from gazenerf.field.model import TwoStreamField
 from gazenerf.field.streams import StreamCondition
@@ -18,15 +21,21 @@ from gazenerf.geometry import Gaze
 from gazenerf.geometry.paths import BeyondTraining, GazeRange
 from gazenerf.heads.bound import BoundHead
 from gazenerf.heads.interface import Part
-from gazenerf.heads.occupancy import Occupancy
-from gazenerf.heads.upsampler import Upsampler, make_upsampler
+from gazenerf.heads.occupancy import MOVED, Occupancy
+from gazenerf.heads.upsampler import Upsampler, make_upsampler, upsample_window
 from gazenerf.subjects import Subject
+from gazenerf.workers import pool, workers_for
 
 GUIDED_BOX = ((-1.5, -1.7, -1.5), (1.5, 1.5, 1.5))
 """Corners, world units, of the volume that natively trained fields fill."""
 
 SLAB_HALF_WIDTH = 1.93
 """Half width of the volume that the published neutral camera sees."""
+
+T = TypeVar("T")
+
+LEAST_CHUNK = 2**11
+"""Points queried at once that any GPU has memory for."""
 
 EVERYWHERE = 0.9
 """Share of the box above which a density has no surface to look for."""
@@ -43,11 +52,12 @@ class Head:
         field: The field.
         subject: Its codes must have the field's sizes.
         sampler: `slabs` or `guided`; the field's own when None.
-        bfloat16: Query in bfloat16, several times faster where the processor has matrix tiles.
-        upsampler: One of `gazenerf.heads.upsampler.BACKENDS`; `folded` when None.
+        device: `auto`, `cpu`, `cuda` or `cuda:N`, to which the field is moved; where it is when None.
+        precision: Of matrix products, one of `gazenerf.devices.PRECISIONS`; see there for the error.
+        upsampler: One of `gazenerf.heads.upsampler.BACKENDS`; when None `folded` in float32, else `reference`.
 
     Raises:
-        UserError: code sizes differ.
+        UserError: code sizes differ, or PyTorch sees no such device.
     """
 
     def __init__(
@@ -56,7 +66,8 @@ class Head:
         subject: Subject,
         *,
         sampler: str | None = None,
-        bfloat16: bool = False,
+        device: str | torch.device | None = None,
+        precision: str = "auto",
         upsampler: str | None = None,
     ) -> None:
         config = field.config
@@ -65,21 +76,26 @@ class Head:
                 f"{subject.name} has codes of {subject.codes.sizes} (identity, expression, texture, illumination), "
                 f"the field takes {config.code_sizes}; choose a subject made for this field"
             )
+        if device is not None:
+            field.to(choose_device(device))
         self.field, self.subject = field, subject
-        self.sampler, self.bfloat16 = sampler or config.sampler, bfloat16
+        self.sampler = sampler or config.sampler
+        self.precision, self.dtype = precision, product_dtype(precision, self.device)
+        self.chunk = points_at_once(self.device)
         self.metres_per_unit, self.weights_hash = config.metres_per_unit, field.weights_hash
         if self.sampler == "guided":
             self.box = np.array(GUIDED_BOX)
         else:
             side = SLAB_HALF_WIDTH
             self.box = np.array([[-side, -side, config.z_far], [side, side, config.z_near]])
-        self._backend = "reference" if bfloat16 else upsampler or "folded"
+        self._backend = upsampler or ("folded" if self.dtype == torch.float32 else "reference")
         self._lock = threading.RLock()
         self._found_for: int | None = None
         self._grids: dict[str, Occupancy] | None = None
         self._upsample: Upsampler | None = None
         self._background: np.ndarray | None = None
-        self._told_dense = False
+        self._behind: dict[tuple[int, int], torch.Tensor] = {}
+        self._told_dense = self._told_memory = False
 
     def __repr__(self) -> str:
         limits = self.trained_range
@@ -121,21 +137,75 @@ class Head:
         """The same head sampled in another way; itself where it already is."""
         if sampler == self.sampler:
             return self
-        return Head(self.field, self.subject, sampler=sampler, bfloat16=self.bfloat16, upsampler=self._backend)
+        return Head(self.field, self.subject, sampler=sampler, precision=self.precision, upsampler=self._backend)
 
     # What gazes share
 
     @contextmanager
     def exactly(self) -> Iterator[None]:
         """Without gradients, in float32."""
-        with torch.no_grad(), torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=False):
+        with torch.no_grad(), torch.autocast(self.device.type, enabled=False):
             yield
+
+    def products(self) -> torch.autocast:
+        """Matrix products in the head's precision."""
+        half = self.dtype != torch.float32
+        return torch.autocast(self.device.type, dtype=self.dtype if half else None, enabled=half)
 
     @contextmanager
     def quickly(self) -> Iterator[None]:
-        """Without gradients for good, in bfloat16 where that was asked for."""
-        with torch.inference_mode(), torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=self.bfloat16):
+        """Without gradients for good, in the head's precision."""
+        with torch.inference_mode(), self.products():
             yield
+
+    def in_chunks(self, compute: Callable[[torch.Tensor], T], points: torch.Tensor, share: int = 1) -> list[T]:
+        """What `compute` gives for chunks of points (N, 3), `quickly`; on a CPU several at once, one a core.
+
+        Args:
+            compute: Of a chunk (n, 3).
+            points: All of them.
+            share: A chunk holds this share of the points that are usually queried at once.
+        """
+        chunks = points.split(max(1, self.chunk // share))
+
+        def one(chunk: torch.Tensor) -> T:
+            with self.quickly():
+                return compute(chunk)
+
+        workers = min(len(chunks), workers_for(self.device))
+        if workers <= 1:
+            return [one(chunk) for chunk in chunks]
+        with pool(workers) as executor:
+            return list(executor.map(one, chunks))
+
+    def within_memory(self, compute: Callable[[], T]) -> T:
+        """What `compute` gives; where a GPU's memory does not do, again with fewer points at once, which is said once.
+
+        Raises:
+            UserError: even `LEAST_CHUNK` points at once do not fit.
+        """
+        while True:
+            try:
+                return compute()
+            except torch.OutOfMemoryError as error:
+                if self.chunk <= LEAST_CHUNK:
+                    raise UserError(
+                        "the GPU has too little free memory even for a few points at a time; choose a smaller --size, "
+                        "end what else uses it, or use --device cpu"
+                    ) from error
+            self._query_less()
+
+    def _query_less(self) -> None:
+        with self._lock:
+            self.chunk = max(LEAST_CHUNK, self.chunk // 4)
+            told, self._told_memory = self._told_memory, True
+        if self.device.type == "cuda":
+            torch.cuda.empty_cache()
+        if not told:
+            warnings.warn(
+                f"the GPU's memory is short; going on with fewer points at once ({self.chunk:,}), which is slower",
+                stacklevel=4,
+            )
 
     def conditions(self, gaze: Gaze) -> tuple[torch.Tensor, dict[str, StreamCondition]]:
         """The gaze as the streams take it, (1, 2), and each stream's folded codes."""
@@ -153,6 +223,7 @@ class Head:
         version = self.field.version
         if version != self._found_for:
             self._grids = self._upsample = self._background = None
+            self._behind = {}
             self._found_for = version
 
     @property
@@ -163,6 +234,29 @@ class Head:
             if self._upsample is None:
                 self._upsample = make_upsampler(self.field.renderer, self._backend)
             return self._upsample
+
+    def picture(self, features: torch.Tensor, opacity: torch.Tensor | None = None) -> torch.Tensor:
+        """The picture (3, h * k, w * k) of a feature map.
+
+        Args:
+            features: (C, h, w) over the background.
+            opacity: (h, w); where it is 0 the features are the background's own, and nothing is up-sampled far
+                from where it is not. None where that is not so, as where the background was turned with the eyes.
+        """
+        if opacity is None or self.device.type != "cpu":  # a GPU waits longer for the window than it saves
+            return self.upsample(features[None])[0]
+        shape = features.shape[1], features.shape[2]
+        return upsample_window(self.upsample, features[None], opacity > 0.0, lambda: self._picture_behind(*shape))
+
+    def _picture_behind(self, rows: int, columns: int) -> torch.Tensor:
+        """(3, rows * k, columns * k) picture of the background alone; the last few sizes are kept."""
+        upsample = self.upsample
+        with self._lock:
+            found = self._behind.get((rows, columns))
+            if found is None:
+                found = upsample(self.field.renderer.background(rows, columns).float())[0]
+                self._behind = dict([*self._behind.items(), ((rows, columns), found)][-4:])
+            return found
 
     @property
     def background(self) -> np.ndarray:
@@ -183,16 +277,25 @@ class Head:
         with self._lock:
             self._refresh()
             if self._grids is None:
-                straight = BoundHead(self, Gaze())
-                box = torch.from_numpy(self.box.astype(np.float32)).to(self.device)
                 with self.quickly():
-                    self._grids = {
-                        name: Occupancy.of(
-                            lambda points, name=name: straight.query(name, points), box, within=self.trained_box(name)
-                        )
-                        for name in self.field.streams
-                    }
+                    self._grids = self._find_grids()
             return self._grids
+
+    def _find_grids(self) -> dict[str, Occupancy]:
+        """Where each stream's density can be; see `grids`."""
+        straight = BoundHead(self, Gaze())
+        box = torch.from_numpy(self.box.astype(np.float32)).to(self.device)
+        grids = {}
+        for name in self.field.streams:
+            within = self.trained_box(name)
+            margin = 1 if name == "face" else MOVED
+            grids[name] = Occupancy.of(
+                lambda points, name=name: torch.cat(self.in_chunks(partial(straight.query, name), points)), box,
+                margin=margin, within=within, every=within is not None,
+            )  # fmt: skip
+        if "eyes" in grids:
+            grids["face"] = grids["face"].moving_near(grids["eyes"])
+        return grids
 
     def occupancy(self, streams: Iterable[str]) -> Occupancy:
         """Where the densities of some streams can be, whatever the gaze."""

@@ -120,6 +120,11 @@ class BoundField(Protocol):
     weights_hash: str
 
     @property
+    def device(self) -> torch.device:
+        """Where densities and pictures are computed."""
+        ...
+
+    @property
     def parts(self) -> tuple[Part, ...]:
         """The parts that there are: `head`, and `face` and `eyes` where the field has two streams."""
         ...
@@ -130,7 +135,10 @@ class BoundField(Protocol):
         ...
 
     def density(self, points: torch.Tensor, part: Part = "head") -> torch.Tensor:
-        """Density (N,) >= 0 per world unit at points (N, 3), differentiable in the points."""
+        """Density (N,) >= 0 per world unit at points (N, 3), differentiable in the points.
+
+        The points may lie on any device; the densities come back to it.
+        """
         ...
 
     def render(self, camera: Camera, parts: tuple[Part, ...] = ("head",)) -> RenderedView:
@@ -152,6 +160,11 @@ class HeadField(Protocol):
     @property
     def subject(self) -> Subject:
         """Whose head it is."""
+        ...
+
+    @property
+    def device(self) -> torch.device:
+        """Where densities and pictures are computed."""
         ...
 
     @property

@@ -16,10 +16,7 @@ from scipy import ndimage
 from gazenerf.field.sampling import box_interval
 from gazenerf.field.streams import SOFTPLUS_GAIN
 from gazenerf.heads.march import first_surface
-from gazenerf.heads.occupancy import Occupancy
-
-OPAQUE = 8.0
-"""Density per world unit from which a cell hides what is behind it; what lies outside such cells is seen."""
+from gazenerf.heads.occupancy import OPAQUE, Occupancy
 
 DEPTH = 0.08
 """World units below the first opaque cells that are kept; deeper, less than a hundredth of the light is left."""
@@ -61,23 +58,18 @@ class Band:
             occupancy: With the densities it was made from.
             unsure: (G, G, G) bool cells whose density may have changed since.
         """
-        density = occupancy.density.numpy()
-        step = ((occupancy.box[1] - occupancy.box[0]) / len(density)).numpy()
-        free = np.pad(density <= OPAQUE, 1, constant_values=True)
-        labels = np.asarray(ndimage.label(free)[0])  # pyright: ignore[reportIndexIssue]
+        device, density = occupancy.box.device, occupancy.density.cpu().numpy()
+        step = ((occupancy.box[1] - occupancy.box[0]) / len(density)).cpu().numpy()
+        open_cells = np.pad(density <= OPAQUE, 1, constant_values=True)
+        labels = np.asarray(ndimage.label(open_cells)[0])  # pyright: ignore[reportIndexIssue]
         outside = (labels == labels[0, 0, 0])[1:-1, 1:-1, 1:-1]
         depth = np.asarray(ndimage.distance_transform_edt(~outside, sampling=step))
         close = ndimage.binary_dilation(density > THIN, np.ones((3, 3, 3)))
         if unsure is not None:
-            close |= unsure.numpy()
+            close |= unsure.cpu().numpy()
         near = (depth <= DEPTH) & (close | ~outside)
-        cells = torch.from_numpy(near)
-        return cls(
-            _vertices(cells).nonzero(),
-            _nearest(torch.from_numpy(~outside)),
-            ~cells & torch.from_numpy(outside),
-            occupancy.box,
-        )
+        cells, free = torch.from_numpy(near).to(device), torch.from_numpy(outside).to(device)
+        return cls(_vertices(cells).nonzero(), _nearest(~free), ~cells & free, occupancy.box)
 
     @property
     def points(self) -> torch.Tensor:
@@ -93,7 +85,7 @@ def _vertices(cells: torch.Tensor) -> torch.Tensor:
 
 def _nearest(cells: torch.Tensor) -> torch.Tensor:
     """(2 G + 1)^3 bool: the value of a cell (G, G, G) that each vertex belongs to."""
-    index = (torch.arange(2 * len(cells) + 1) // 2).clamp(max=len(cells) - 1)
+    index = (torch.arange(2 * len(cells) + 1, device=cells.device) // 2).clamp(max=len(cells) - 1)
     return cells[index][:, index][:, :, index]
 
 
@@ -112,7 +104,8 @@ class DensityLattice:
         self.box = band.box
         self.extent = band.box[1] - band.box[0]
         step = self.extent / len(band.empty)
-        skip = torch.from_numpy(ndimage.distance_transform_edt(band.empty.numpy(), sampling=step.numpy())).float()
+        skip = np.asarray(ndimage.distance_transform_edt(band.empty.cpu().numpy(), sampling=step.cpu().numpy()))
+        skip = torch.from_numpy(skip.astype(np.float32)).to(band.box.device)
         self.skip = (skip - float(step.norm())).clamp(min=0.0)
 
     @property

@@ -15,9 +15,6 @@ import torch
 Density = Callable[[torch.Tensor], torch.Tensor]
 """Points (N, 3) to density (N,), per world unit."""
 
-CHUNK = 2**13
-"""Points queried at once. Larger arrays come fresh from the system every time, which costs a third of the time."""
-
 OPAQUE_SHARE = 0.5
 """A surface lies where so much of a ray's light is gone."""
 
@@ -25,7 +22,10 @@ LEAST_LOST = 0.1
 """Share of its light that a ray has to lose to hit anything."""
 
 REFINED = 8
-"""Samples over two steps around a surface that was found."""
+"""Samples over two steps around the place where a ray grazes a surface."""
+
+HALVES = 2
+"""Samples of the step in which half of a ray's light is lost."""
 
 
 class Steps(Protocol):
@@ -56,7 +56,7 @@ def first_surface(
     """Distance at which half the light of each ray is gone, or where it loses most if it never loses half.
 
     The second kind are the rays that graze an outline; with them a picture's edge is not a staircase.
-    The interval found is then sampled more finely.
+    The interval found is then sampled more finely: see `crossing` and `refined`.
 
     Args:
         density: What is looked for.
@@ -69,6 +69,7 @@ def first_surface(
     """
     count = len(rays_o)
     passed, distance = rays_o.new_ones(count), rays_o.new_full((count,), torch.nan)
+    light = rays_o.new_ones(count)
     grazed, most = rays_o.new_zeros(count), rays_o.new_zeros(count)
     rays = steps.first()
     while len(rays):
@@ -80,18 +81,59 @@ def first_surface(
         left = before * torch.cumprod(1.0 - alpha * counts, dim=1)
         crossed = left < OPAQUE_SHARE
         hit = crossed[:, -1]
-        distance[rays[hit]] = t[hit].gather(1, crossed[hit].float().argmax(1)[:, None])[:, 0]
-        lost, place = (torch.cat([before, left[:, :-1]], dim=1) - left).max(1)
+        entering = torch.cat([before, left[:, :-1]], dim=1)
+        first = crossed[hit].float().argmax(1)[:, None]
+        distance[rays[hit]] = t[hit].gather(1, first)[:, 0]
+        light[rays[hit]] = entering[hit].gather(1, first)[:, 0]
+        lost, place = (entering - left).max(1)
         more = lost > most[rays]
         most[rays[more]] = lost[more]
         grazed[rays[more]] = t[more].gather(1, place[more, None])[:, 0]
         passed[rays] = left[:, -1]
         rays = steps.ahead(rays, hit)
-    distance = torch.where(distance.isnan() & (passed < 1.0 - least), grazed, distance)
-    seen = ~distance.isnan()
-    rays = seen.nonzero()[:, 0]
-    distance[rays] = refined(density, rays_o[rays], rays_d[rays], distance[rays], steps.width[rays])
-    return distance, seen
+    half = ~distance.isnan()
+    grazing = ~half & (passed < 1.0 - least)
+    rays = half.nonzero()[:, 0]
+    distance[rays] = crossing(density, rays_o[rays], rays_d[rays], distance[rays], steps.width[rays], light[rays])
+    rays = grazing.nonzero()[:, 0]
+    distance[rays] = refined(density, rays_o[rays], rays_d[rays], grazed[rays], steps.width[rays])
+    return distance, half | grazing
+
+
+def crossing(
+    density: Density,
+    rays_o: torch.Tensor,
+    rays_d: torch.Tensor,
+    distance: torch.Tensor,
+    width: torch.Tensor,
+    light: torch.Tensor,
+    samples: int = HALVES,
+) -> torch.Tensor:
+    """(R,) where half the light is gone, within the step in which that happens.
+
+    The density is taken as constant within each of a few equal parts of the step, whose light is then
+    known everywhere. On the bundled fields two parts lie within 0.15 mm of 256 parts (median), which
+    eight samples that were not interpolated did not.
+
+    Args:
+        density: What is looked for.
+        rays_o, rays_d: (R, 3).
+        distance, width: (R,) middle and length of the step.
+        light: (R,) share of the light that enters the step, more than `OPAQUE_SHARE`.
+        samples: Parts of the step.
+    """
+    part = width / samples
+    start = distance - 0.5 * width
+    t = start[:, None] + (torch.arange(samples, device=width.device) + 0.5) * part[:, None]
+    points = rays_o[:, None] + t[..., None] * rays_d[:, None]
+    found = density(points.reshape(-1, 3)).reshape(t.shape) * part[:, None]  # optical depths
+    through = found.cumsum(1)
+    wanted = torch.log(light / OPAQUE_SHARE)[:, None]
+    crossed = through >= wanted
+    which = torch.where(crossed.any(1), crossed.float().argmax(1), samples - 1)[:, None]
+    here = found.gather(1, which)
+    share = ((wanted - through.gather(1, which) + here) / here.clamp(min=1e-9)).clamp(0.0, 1.0)
+    return start + (which + share)[:, 0] * part
 
 
 def refined(

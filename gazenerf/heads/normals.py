@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import torch
 
-from gazenerf.heads.march import CHUNK, Density
+from gazenerf.heads.march import Density
 
 AXES = torch.tensor([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0], [0, -1, 0], [0, 0, -1]], dtype=torch.float64)
 """(6, 3) directions along the axes: central differences."""
@@ -31,9 +31,7 @@ def density_gradient(
     directions = directions.to(points)
     gradient = torch.zeros_like(points)
     for direction in directions:
-        moved = points + radius * direction
-        values = torch.cat([density(chunk) for chunk in moved.split(CHUNK)])
-        gradient = gradient + values[:, None] * direction
+        gradient = gradient + density(points + radius * direction)[:, None] * direction
     return gradient
 
 

@@ -11,6 +11,15 @@ import torch.nn.functional as F
 from gazenerf.field.sampling import box_interval
 from gazenerf.heads.march import Density
 
+FAINT = 0.1
+"""Share of the threshold; beside a density above it every cell is looked at."""
+
+MOVED = 2
+"""Cells by which what moves with the gaze may leave the cells that it occupies with the eyes straight ahead."""
+
+OPAQUE = 8.0
+"""Density per world unit from which a cell hides what is behind it; what lies outside such cells is seen."""
+
 
 @dataclass(frozen=True)
 class Occupancy:
@@ -33,29 +42,33 @@ class Occupancy:
         box: torch.Tensor,
         size: int = 64,
         threshold: float = 0.5,
-        margin: int = 2,
+        margin: int = 1,
         within: torch.Tensor | None = None,
+        every: bool = False,
     ) -> Occupancy:
         """Sample a density at the cell centres and grow what exceeds the threshold (per world unit) by `margin` cells.
 
-        The default margin, about 9 mm for the bundled box, covers how far lids move with the gaze.
-        `within` (2, 3) is a box outside which the density is known to be 0 and not queried.
+        Args:
+            density: Of one stream.
+            box: (2, 3) world units.
+            size: Cells along each axis.
+            threshold: Density per world unit above which a cell is occupied.
+            margin: Cells.
+            within: (2, 3) box outside which the density is known to be 0 and not queried.
+            every: Sample every cell: the slow reference. Otherwise every second one along each axis, and
+                the others only near some density that is not opaque all around: a third of a head's box.
         """
-        step = (box[1] - box[0]) / size
-        axes = [box[0, i] + step[i] * (torch.arange(size, device=box.device) + 0.5) for i in range(3)]
-        low, high = [0] * 3, [size] * 3
-        if within is not None:
-            low = [int((axes[i] < within[0, i]).sum()) for i in range(3)]
-            high = [int((axes[i] <= within[1, i]).sum()) for i in range(3)]
+        points = _centres(box, size)
+        known = _inside(points, within)
         values = torch.zeros(size, size, size, device=box.device)
-        y, z = (axes[i][low[i] : high[i]] for i in (1, 2))
-        for first in range(low[0], high[0], 8):
-            x = axes[0][first : min(first + 8, high[0])]
-            found = density(torch.cartesian_prod(x, y, z)).reshape(len(x), len(y), len(z))
-            values[first : first + len(x), low[1] : high[1], low[2] : high[2]] = found
-        dense = values > threshold
-        grown = F.max_pool3d(dense[None, None].float(), 2 * margin + 1, stride=1, padding=margin)[0, 0] > 0
-        return cls(grown, box, values)
+        if not every:
+            coarse = torch.zeros_like(known)
+            coarse[::2, ::2, ::2] = True
+            values[coarse & known] = density(points[coarse & known])
+            known &= _unsure(values[::2, ::2, ::2], threshold, size) & ~coarse
+            values = torch.where(coarse, values, _doubled(values[::2, ::2, ::2], size))
+        values[known] = density(points[known])
+        return cls(_grown(values > threshold, margin), box, values)
 
     @classmethod
     def union(cls, parts: Sequence[Occupancy]) -> Occupancy:
@@ -64,6 +77,18 @@ class Occupancy:
         for part in parts[1:]:
             cells, density = cells | part.cells, density + part.density
         return cls(cells, parts[0].box, density)
+
+    def moving_near(self, other: Occupancy, threshold: float = 0.5, margin: int = MOVED) -> Occupancy:
+        """The same, grown by `margin` cells where another occupancy or its surroundings are.
+
+        About 9 mm for the bundled box, which covers how far lids move with the gaze.
+        """
+        near = _grown(other.cells, margin)
+        return Occupancy(self.cells | (_grown(self.density > threshold, margin) & near), self.box, self.density)
+
+    def grown(self, margin: int, threshold: float = 0.5) -> Occupancy:
+        """The same with another margin."""
+        return Occupancy(_grown(self.density > threshold, margin), self.box, self.density)
 
     @property
     def share(self) -> float:
@@ -87,6 +112,42 @@ class Occupancy:
         return self.cells[index[..., 0], index[..., 1], index[..., 2]] & inside
 
 
+def _grown(cells: torch.Tensor, margin: int) -> torch.Tensor:
+    """(G, G, G) bool: cells, and those at most so many from one of them along each axis."""
+    return F.max_pool3d(cells[None, None].float(), 2 * margin + 1, stride=1, padding=margin)[0, 0] > 0
+
+
+def _centres(box: torch.Tensor, size: int) -> torch.Tensor:
+    """(G, G, G, 3) centres of the cells of a box (2, 3)."""
+    step = (box[1] - box[0]) / size
+    place = torch.arange(size, device=box.device) + 0.5
+    axes = torch.meshgrid(*(box[0, i] + step[i] * place for i in range(3)), indexing="ij")
+    return torch.stack(axes, dim=-1)
+
+
+def _inside(points: torch.Tensor, within: torch.Tensor | None) -> torch.Tensor:
+    """(...) bool: which points (..., 3) lie in a box (2, 3)."""
+    if within is None:
+        return torch.ones(points.shape[:-1], dtype=torch.bool, device=points.device)
+    return ((points >= within[0]) & (points <= within[1])).all(-1)
+
+
+def _unsure(coarse: torch.Tensor, threshold: float, size: int) -> torch.Tensor:
+    """(G, G, G) bool: cells near a density of every second cell that is neither all empty nor all opaque."""
+    around = coarse[None, None]
+    some = F.max_pool3d((around > FAINT * threshold).float(), 3, stride=1, padding=1)[0, 0] > 0
+    full = F.max_pool3d((around <= OPAQUE).float(), 3, stride=1, padding=1)[0, 0] == 0
+    return _doubled(some & ~full, size)
+
+
+def _doubled(coarse: torch.Tensor, size: int) -> torch.Tensor:
+    """(G, G, G): each value of a grid of every second cell, for its cell and those after it."""
+    fine = coarse
+    for axis in range(3):
+        fine = fine.repeat_interleave(2, axis).narrow(axis, 0, size)
+    return fine
+
+
 class OccupiedSteps:
     """Even samples through an occupancy's box, those in occupied cells only; see `gazenerf.heads.march.Steps`.
 
@@ -104,7 +165,7 @@ class OccupiedSteps:
         rays_o: torch.Tensor,
         rays_d: torch.Tensor,
         count: int = 96,
-        size: int = 4,
+        size: int = 2,
         window: tuple[torch.Tensor, torch.Tensor] | None = None,
     ) -> None:
         near, far = box_interval(rays_o, rays_d, occupancy.box)

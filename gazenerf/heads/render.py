@@ -14,7 +14,6 @@ from gazenerf.field.sampling import RaySamples, ray_samples, shell_samples, slab
 from gazenerf.geometry import Camera, camera_rays
 from gazenerf.heads.feature_map import FeatureGrid, RayFeatures, Window, to_picture
 from gazenerf.heads.interface import OPACITY_FLOOR, GeometryView, Part, RenderedView
-from gazenerf.heads.march import CHUNK
 
 if TYPE_CHECKING:
     from gazenerf.heads.bound import BoundHead
@@ -52,9 +51,11 @@ def render_parts(bound: BoundHead, camera: Camera, parts: tuple[Part, ...]) -> R
         cache: dict[tuple[str, ...], RayFeatures] = {}
         for part in parts:
             seen = _part_features(bound, grid, background, part, cache)
-            picture = bound.head.upsample(seen.features.T.reshape(1, -1, rows, columns))[0]
+            opacity = seen.opacity.reshape(rows, columns)
+            turned = part != "face" and (len(bound.streams_of(part)) == 1 or config.merge == "max")
+            picture = bound.head.picture(seen.features.T.reshape(-1, rows, columns), None if turned else opacity)
             if part == "eyes" and config.eyes_box is not None:
-                picture = _on_background(bound, picture, seen.opacity.reshape(rows, columns))
+                picture = _on_background(bound, picture, opacity)
             images[part] = to_picture(picture, camera)
             geometry[part] = grid.geometry(seen)
     return RenderedView(camera, images, geometry)
@@ -148,7 +149,7 @@ def composite_rays(
     distance = rays_o.new_full((len(rays_o),), torch.nan)
     rays, samples = _sampled(bound, rays_o, rays_d, streams, window, sparse)
     front, left = (SHELL_FRONT, SHELL_LEFT) if sparse else (EVEN_FRONT, EVEN_LEFT)
-    for index, t, deltas in _chunks(rays, samples, CHUNK):
+    for index, t, deltas in _chunks(rays, samples, bound.head.chunk):
         points = rays_o[index, None] + t[..., None] * rays_d[index, None]
         rows, alpha, expected = _front_to_back(bound, points, RaySamples(t, deltas), streams, front, left)
         rows = bound.turn(rows) if alone else rows
@@ -255,7 +256,7 @@ def render_geometry(bound: BoundHead, camera: Camera, part: Part, normals: bool)
             samples = shell_samples(distance[rays], GEOMETRY_SHELL, GEOMETRY_SAMPLES)
         else:
             rays, samples = torch.arange(len(rays_o), device=rays_o.device), _even_samples(bound, rays_o, rays_d)
-        for index, t, deltas in _chunks(rays, samples, CHUNK):
+        for index, t, deltas in _chunks(rays, samples, bound.head.chunk):
             points = rays_o[index, None] + t[..., None] * rays_d[index, None]
             density = bound.density_of(streams, points.reshape(-1, 3)).reshape(t.shape)
             weights, alpha = composite(density, deltas)

@@ -24,6 +24,48 @@ Upsampler = Callable[[torch.Tensor], torch.Tensor]
 
 BACKENDS = ("reference", "folded", "openvino")
 
+REACH = 3
+"""Feature pixels from which a picture pixel is made, at most: half as many more with each doubling."""
+
+WINDOW = 0.85
+"""Share of the picture above which a window is not worth its seams."""
+
+
+def upsample_window(
+    upsample: Upsampler, features: torch.Tensor, seen: torch.Tensor, behind: Callable[[], torch.Tensor]
+) -> torch.Tensor:
+    """The picture of a feature map that shows the background but in some places: only these are up-sampled.
+
+    Args:
+        upsample: The neural renderer.
+        features: (1, C, h, w).
+        seen: (h, w) bool, where the features may differ from the background's.
+        behind: Gives the picture (3, h * k, w * k) of the background's features alone.
+
+    Returns:
+        (3, h * k, w * k), as `upsample(features)[0]`.
+    """
+    height, width = seen.shape
+    spans = []
+    for axis, size in ((1, height), (0, width)):
+        along = seen.any(axis).nonzero()[:, 0].tolist()
+        if not along:
+            return behind().clone()
+        spans.append((max(0, along[0] - REACH), min(size, along[-1] + 1 + REACH), size))
+    if (spans[0][1] - spans[0][0]) * (spans[1][1] - spans[1][0]) > WINDOW * height * width:
+        return upsample(features)[0]
+    (top, bottom, left, right), (up, down, before, after) = (
+        tuple(value for first, last, size in spans for value in (max(0, first - grown), min(size, last + grown)))
+        for grown in (0, REACH)
+    )
+    part = upsample(features[:, :, up:down, before:after].contiguous())[0]
+    picture = behind().clone()
+    k = picture.shape[1] // height
+    picture[:, k * top : k * bottom, k * left : k * right] = part[
+        :, k * (top - up) : k * (bottom - up), k * (left - before) : k * (right - before)
+    ]
+    return picture
+
 
 class FoldedRenderer(nn.Module):
     """`NeuralRenderer` with everything constant folded; weights are copied, so build it after training.
@@ -58,19 +100,19 @@ class _Step(nn.Module):
         channels, out = narrow.in_channels, narrow.out_channels
         self.out = out
         # widen_1 emits channel c of quarter s at 4 c + s; rows of (quarter, channel) make the shuffle a permutation.
-        order = torch.arange(4 * channels).reshape(channels, 4).T.reshape(-1)
+        order = torch.arange(4 * channels, device=narrow.weight.device).reshape(channels, 4).T.reshape(-1)
         self.widen_0, self.widen_1 = _linear(upsample.widen_0), _linear(upsample.widen_1)
         self.widen_1.weight.data = self.widen_1.weight.data[order].contiguous()
         self.widen_1.bias.data = self.widen_1.bias.data[order].contiguous()
         self.narrow = nn.Linear(channels, out, bias=False)
         self.narrow.weight.data = narrow.weight.detach().flatten(1).clone()
-        repeated = torch.eye(channels).repeat(4, 1)[order].reshape(4, channels, channels)
+        repeated = torch.eye(channels, device=order.device).repeat(4, 1)[order].reshape(4, channels, channels)
         self.around = nn.Linear(channels, 4 * out)
         weight = torch.einsum("oc,scf->sof", narrow.weight.detach().flatten(1), repeated.to(narrow.weight.dtype))
         self.around.weight.data = weight.reshape(4 * out, channels).contiguous()
         self.around.bias.data = narrow.bias.detach().repeat(4)
         self.rgb = _linear(to_rgb)
-        self.blur_features, self.blur_rgb = _Blur(out), _Blur(3)
+        self.blur_features, self.blur_rgb = _Blur(out).to(narrow.weight.device), _Blur(3).to(narrow.weight.device)
         self.requires_grad_(False)
 
     def forward(self, rows: torch.Tensor, rgb: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

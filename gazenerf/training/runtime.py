@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import nn
 
+from gazenerf.devices import choose_device
 from gazenerf.errors import UserError
 from gazenerf.training.operations import FUSED, REFERENCE, Operations, compiled
 from gazenerf.training.optimizers import Optimizers
@@ -49,10 +50,7 @@ class Runtime:
     """
 
     def __init__(self, device: str = "auto", devices: int = 1, precision: str = "auto", compile: str = "auto") -> None:
-        if device == "auto":
-            device = "cuda" if torch.cuda.is_available() else "cpu"
-        if device == "cuda" and not torch.cuda.is_available():
-            raise UserError("no CUDA device is visible; use --device cpu")
+        chosen = choose_device(device)
         self.fabric: Any = None
         self.rank, self.world = 0, 1
         if devices > 1:
@@ -60,14 +58,13 @@ class Runtime:
                 from lightning.fabric import Fabric  # pyright: ignore[reportMissingImports]
             except ImportError as error:
                 raise UserError("training on several devices needs: pip install gazenerf[multi-gpu]") from error
-            self.fabric = Fabric(accelerator=device, devices=devices)
+            self.fabric = Fabric(accelerator=chosen.type, devices=devices)
             self.fabric.launch()
             self.rank, self.world = int(self.fabric.global_rank), int(self.fabric.world_size)
             self.device = torch.device(self.fabric.device)
         else:
-            self.device = (
-                torch.device("cuda", torch.cuda.current_device()) if device == "cuda" else torch.device(device)
-            )
+            unnumbered = chosen.type == "cuda" and chosen.index is None
+            self.device = torch.device("cuda", torch.cuda.current_device()) if unnumbered else chosen
         if precision not in ("auto", "float32", "bfloat16"):
             raise UserError(f"unknown precision {precision!r}; use auto, float32 or bfloat16")
         if compile not in COMPILE:

@@ -6,6 +6,7 @@ import json
 import imageio_ffmpeg
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
 from gazenerf.cli import orbit, sheet
@@ -44,7 +45,7 @@ class Flat:
 class FlatHead:
     """A head of that colour."""
 
-    subject = SUBJECT
+    subject, device = SUBJECT, torch.device("cpu")
     trained_range = GazeRange(np.deg2rad(20.0), np.deg2rad(30.0))
 
     def at(self, gaze):

@@ -191,7 +191,7 @@ def test_bfloat16_pictures_are_close() -> None:
     field, subject = make_field(config), make_subject(config)
     camera = Camera.neutral(32)
     exact = Head(field, subject).at(GAZE).render(camera).image
-    rough = Head(field, subject, bfloat16=True).at(GAZE).render(camera).image
+    rough = Head(field, subject, precision="bfloat16").at(GAZE).render(camera).image
     assert 0 < np.abs(exact - rough).mean() < 0.02
 
 

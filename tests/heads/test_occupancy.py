@@ -25,6 +25,24 @@ def test_grid_covers_the_density_with_a_margin() -> None:
     assert 0.1 < grid.share < 0.25
 
 
+def test_every_second_cell_tells_where_the_others_need_a_look() -> None:
+    """A soft ball with a handle two cells wide: the same cells and densities with a fraction of the queries."""
+    asked = {}
+
+    def soft(points: torch.Tensor, name: str) -> torch.Tensor:
+        asked[name] = asked.get(name, 0) + len(points)
+        handle = (points[:, :2] - torch.tensor([0.9, 0.0])).norm(dim=-1) - 0.05
+        handle = torch.maximum(handle, points[:, 2].abs() - 1.2)
+        return 40.0 * torch.sigmoid(-60.0 * torch.minimum(points.norm(dim=-1) - 0.8, handle))
+
+    fast = Occupancy.of(lambda points: soft(points, "fast"), BOX)
+    slow = Occupancy.of(lambda points: soft(points, "slow"), BOX, every=True)
+    assert asked["slow"] == 64**3 and asked["fast"] * 2.5 < asked["slow"]
+    assert torch.equal(fast.cells, slow.cells)
+    assert (fast.density - slow.density).abs().max() < 2.0  # deep inside one density stands for its neighbours'
+    assert torch.equal(fast.density > 8.0, slow.density > 8.0)
+
+
 def test_empty_density_has_no_bounds_and_no_surface() -> None:
     grid = Occupancy.of(lambda points: torch.zeros(len(points)), BOX, size=16)
     assert grid.bounds() is None and grid.share == 0.0

@@ -1,13 +1,18 @@
-"""The scripts behind the bundled field: what can be checked without its captures; `make dry-run` does the rest."""
+"""The scripts behind the bundled field, and their whole chain at toy size."""
 
 from __future__ import annotations
 
+import json
+import os
 import runpy
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
+from gazenerf.checkpoints import BUNDLED, load_field, weights_hash
+from gazenerf.data.rasterizer import Rasterizer
 from gazenerf.data.storage import CaptureSet, read_manifest, write_manifest, write_shard
 from gazenerf.errors import UserError
 
@@ -53,3 +58,27 @@ def test_sets_of_other_people_are_not_joined(toy_captures, tmp_path, join):
 def test_the_chain_needs_a_folder(words: list[str]):
     done = subprocess.run(["bash", SCRIPTS / "train_bundled.sh", *words], capture_output=True, text=True, timeout=60)
     assert done.returncode == 2 and done.stderr.count("\n") == 1 and "folder" in done.stderr
+
+
+def test_the_dry_run_goes_from_captures_to_a_report(tmp_path):
+    try:
+        with Rasterizer((16, 16), 1):
+            pass
+    except UserError as error:
+        pytest.skip(f"captures need off-screen OpenGL: {error}")
+    assets = BUNDLED.parent.parent
+    before = {path: path.stat().st_mtime_ns for path in assets.rglob("*")}
+    bundled = weights_hash(BUNDLED)
+    environment = os.environ | {"PYTHON": sys.executable, "PYTHONPATH": str(SCRIPTS.parent), "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(
+        ["bash", SCRIPTS / "train_bundled.sh", tmp_path / "all", "--dry-run"],
+        capture_output=True, text=True, timeout=600, env=environment, cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-2000:]
+    field = load_field(tmp_path / "all" / "field.safetensors")
+    assert field.about["preset"] == "portrait" and field.about["shaped_to_minutes"] == 0.05 and field.about["steps"] > 1
+    report = json.loads((tmp_path / "all" / "quality.json").read_text())
+    assert report["unseen_people"] == [12, 13] and report["trained"]["captures"] == 12
+    assert len(list((tmp_path / "all" / "subjects").glob("*.safetensors"))) == 8
+    assert [path.name for path in tmp_path.iterdir()] == ["all"], "nothing beside the folder"
+    assert {path: path.stat().st_mtime_ns for path in assets.rglob("*")} == before and weights_hash(BUNDLED) == bundled

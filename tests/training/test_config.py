@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from gazenerf.checkpoints import load_field
 from gazenerf.field.config import PRESETS as FIELDS
 from gazenerf.field.model import TwoStreamField
 from gazenerf.training.config import PRESETS, TrainConfig
@@ -31,6 +32,12 @@ def test_portrait_has_the_shapes_of_a_512_px_field() -> None:
     assert shapes["renderer.upsample.1.widen_1.weight"] == (144, 72, 1, 1)
     assert "renderer.upsample.2.widen_0.weight" not in shapes, "128 to 512 px are two doublings"
     assert FIELDS["portrait"].image_size == 512
+
+
+def test_the_bundled_portrait_is_of_this_preset() -> None:
+    preset, bundled = replace(FIELDS["portrait"], **SIZES).to_dict(), load_field("portrait").config.to_dict()
+    found_in_training = {"eyes_box", "trained_gaze_range"}
+    assert {name for name in preset if preset[name] != bundled[name]} == found_in_training
 
 
 def test_portrait_differs_from_small_in_size_only() -> None:

@@ -21,7 +21,6 @@ from gazenerf.subjects import Subject
 from gazenerf.viz.check.options import CheckOptions
 from gazenerf.viz.check.result import CheckedView, CheckResult
 from gazenerf.viz.check.views import blind_views, check_cameras, check_mesh, checked_view, serving
-from gazenerf.viz.check.workers import pool
 from gazenerf.viz.metrics.agreement import Agreement, compare
 from gazenerf.viz.metrics.drift import Drift, TextureFollow, view_drift
 from gazenerf.viz.metrics.epipolar import FRAMES, SWEEP_DEGREES, Map, epipolar_strips
@@ -43,6 +42,7 @@ from gazenerf.viz.metrics.reference import Reference
 from gazenerf.viz.metrics.stream_views import StreamView, render_streams
 from gazenerf.viz.metrics.surfaces import measure_surfaces, surface_errors
 from gazenerf.viz.reference.views import ReferenceView, render_reference
+from gazenerf.workers import pool
 
 S = TypeVar("S")
 T = TypeVar("T")

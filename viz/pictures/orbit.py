@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from gazenerf.geometry import Camera, Gaze
 from gazenerf.heads.interface import BoundField, HeadField
 from gazenerf.viz.pictures.layout import grid_size, tile
 from gazenerf.viz.pictures.panels import DEPTH_RANGE, ReferenceRenderer, check_panels, draw_panels
+from gazenerf.workers import in_order, pool, workers_for
 
 ORBIT_FORMAT = "gazenerf-orbit-1"
 
@@ -36,7 +37,7 @@ def render_orbit(
     geometry_size: int | None = None,
     depth_range: tuple[float, float] = DEPTH_RANGE,
 ) -> Iterator[np.ndarray]:
-    """Frames of an orbit, rendered one by one as they are taken.
+    """Frames of an orbit, rendered as they are taken: on a CPU one on each core, a few ahead of the one taken.
 
     The field is bound again only when the gaze changes, and a frame whose camera and gaze are those
     of the frame before is not drawn twice.
@@ -73,22 +74,47 @@ def render_orbit(
     if len({(camera.width, camera.height) for camera in cameras}) != 1:
         raise ValueError("the cameras of one orbit must have one size")
 
-    def frames() -> Iterator[np.ndarray]:
-        bound: BoundField | None = None
-        gaze_before: Gaze | None = None
-        camera_before: Camera | None = None
-        frame = np.empty(0)
-        for camera, gaze in zip(cameras, gazes, strict=True):
-            if bound is None or gaze != gaze_before:
-                bound, gaze_before, camera_before = head.at(gaze), gaze, None
-            if camera_before is None or not _same_view(camera, camera_before):
-                drawn = draw_panels(
-                    bound, camera, names, reference=reference, geometry_size=geometry_size, depth_range=depth_range
-                )
-                frame, camera_before = tile(drawn, columns, labels), camera
-            yield frame
+    def draw(view: tuple[BoundField, Camera]) -> np.ndarray:
+        drawn = draw_panels(*view, names, reference=reference, geometry_size=geometry_size, depth_range=depth_range)
+        return tile(drawn, columns, labels)
 
-    return frames()
+    workers = workers_for(head.device) if reference is None else 1
+    views = list(zip(cameras, gazes, strict=True))
+    return _repeated(_drawn(head, draw, _without_repeats(views), workers), views)
+
+
+def _drawn(
+    head: HeadField,
+    draw: Callable[[tuple[BoundField, Camera]], np.ndarray],
+    views: Sequence[tuple[Camera, Gaze]],
+    workers: int,
+) -> Iterator[np.ndarray]:
+    """A frame of each view, in order; bound in the caller's thread, drawn in so many of their own."""
+
+    def bound_views() -> Iterator[tuple[BoundField, Camera]]:
+        bound: BoundField | None = None
+        for camera, gaze in views:
+            if bound is None or gaze != bound.gaze:
+                bound = head.at(gaze)
+            yield bound, camera
+
+    if min(workers, len(views)) == 1:
+        yield from map(draw, bound_views())
+        return
+    with pool(workers) as executor:
+        yield from in_order(executor, draw, bound_views(), workers + 1)
+
+
+def _without_repeats(views: Sequence[tuple[Camera, Gaze]]) -> list[tuple[Camera, Gaze]]:
+    return [view for before, view in zip([None, *views], views, strict=False) if not _same(before, view)]
+
+
+def _repeated(frames: Iterator[np.ndarray], views: Sequence[tuple[Camera, Gaze]]) -> Iterator[np.ndarray]:
+    """A frame for every view from those of `_without_repeats`."""
+    frame = np.empty(0)
+    for before, view in zip([None, *views], views, strict=False):
+        frame = frame if _same(before, view) else next(frames)
+        yield frame
 
 
 def orbit_sidecar(
@@ -147,5 +173,5 @@ def write_sidecar(path: str | Path, sidecar: dict[str, Any]) -> Path:
     return target
 
 
-def _same_view(a: Camera, b: Camera) -> bool:
-    return a is b or a.to_dict() == b.to_dict()
+def _same(a: tuple[Camera, Gaze] | None, b: tuple[Camera, Gaze]) -> bool:
+    return a is not None and a[1] == b[1] and (a[0] is b[0] or a[0].to_dict() == b[0].to_dict())

@@ -10,11 +10,11 @@ import pytest
 from gazenerf.errors import UserError
 from gazenerf.geometry import Camera
 from gazenerf.heads.interface import PARTS, Part
-from gazenerf.viz.check.workers import pool
 from gazenerf.viz.metrics.epipolar import epipolar_strips, strip_cameras
 from gazenerf.viz.metrics.pairs import angle_between, load_perceptual, measure_pair, view_pairs
 from gazenerf.viz.metrics.stream_views import render_streams, window_around, window_camera
 from gazenerf.viz.selftest.exact_scene import FEATURE_PIXELS, SmoothScene
+from gazenerf.workers import pool
 
 
 def test_the_face_rendered_in_a_window_is_the_face():

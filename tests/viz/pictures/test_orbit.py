@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+import torch
 
 from gazenerf.errors import UserError
 from gazenerf.geometry import Camera, Gaze
@@ -13,6 +14,7 @@ from gazenerf.subjects import Codes, Subject
 from gazenerf.viz.pictures.layout import GAP, grid_size
 from gazenerf.viz.pictures.orbit import frame_size, orbit_sidecar, render_orbit, sidecar_path, write_sidecar
 from gazenerf.viz.pictures.panels import PANELS, draw_panels
+from gazenerf.workers import cores
 
 RADIUS = 1.0
 SUBJECT = Subject("ball", Codes(np.zeros(2), np.zeros(1), np.zeros(1), np.zeros(27)))
@@ -68,6 +70,8 @@ def log() -> list:
 
 class BallHead:
     """A head that logs the gazes it is bound to."""
+
+    device = torch.device("cpu")
 
     def __init__(self, log: list) -> None:
         self._log = log
@@ -170,11 +174,11 @@ def test_the_same_view_is_drawn_once(head, log):
     assert (frames[1] != frames[2]).any()
 
 
-def test_frames_come_one_by_one(head, log):
+def test_frames_are_drawn_a_few_ahead_of_the_one_taken(head, log):
     frames = render_orbit(head, full_turn(100, size=16), hold(100))
     assert not log
     next(frames)
-    assert sum(entry[0] == "render" for entry in log) == 1
+    assert 1 <= sum(entry[0] == "render" for entry in log) <= cores() + 1
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import torch
 
 from gazenerf.errors import UserError
 from gazenerf.geometry import Camera, Gaze
@@ -24,6 +25,8 @@ class Flat:
 
 class FlatHead:
     """A head of that colour, which counts its gazes."""
+
+    device = torch.device("cpu")
 
     def __init__(self) -> None:
         self.gazes = []
