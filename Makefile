@@ -7,7 +7,7 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet --constraint constraints.txt
 TORCH_SOURCE := $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX))
 
-.PHONY: demo test lint setup pictures dist clean
+.PHONY: demo test lint dry-run setup pictures dist clean
 .DELETE_ON_ERROR:
 
 demo: setup
@@ -22,6 +22,10 @@ lint: .venv/.dev
 	$(BIN)/pyright
 	$(BIN)/python scripts/check_doc_examples.py
 	$(BIN)/lint-imports
+
+# scripts/train_bundled.sh at toy size on the CPU, about a minute
+dry-run: .venv/.dev .venv/.libraries
+	PYTHON=$(BIN)/python scripts/train_bundled.sh out/dry-run --dry-run
 
 # the pictures of README.md, made by the commands
 pictures: setup

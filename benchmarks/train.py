@@ -1,9 +1,11 @@
 """Steps a second of training, and where a step's time goes.
 
     python -m benchmarks.train --out train.json
+    python -m benchmarks.train --preset portrait --perceptual --steps 30
 
 The captures are an ellipsoid with two balls at the preset's size: the rays of a head, without its
-synthesis. The perceptual backbone is left out, so that no weights are fetched.
+synthesis. On a GPU they lie there, operations are fused and compiled as in training, and each part is
+waited for, which a run does not do. Without `--perceptual` the term is left out, so that no weights are needed.
 """
 
 from __future__ import annotations
@@ -28,9 +30,11 @@ from gazenerf.heads.analytic import AnalyticField
 from gazenerf.subjects import Codes
 from gazenerf.training.batches import BatchMaker
 from gazenerf.training.config import PRESETS
+from gazenerf.training.feed import Feed
 from gazenerf.training.objective import Objective
 from gazenerf.training.optimizers import Optimizers
-from gazenerf.training.runtime import Runtime
+from gazenerf.training.perceptual import load_perceptual
+from gazenerf.training.runtime import COMPILE, Runtime
 
 PARTS = ("batch", "forward", "backward", "optimizer")
 
@@ -58,14 +62,21 @@ def analytic_captures(config: FieldConfig, count: int = 4) -> list[Capture]:
     return captures
 
 
-def measure_steps(preset: str = "small", steps: int = 6) -> dict[str, Any]:
+def measure_steps(
+    preset: str = "small", steps: int = 6, perceptual: bool = False, runtime: Runtime | None = None
+) -> dict[str, Any]:
     """Median seconds of the parts of a step, and steps per second.
 
     Args:
         preset: Of `gazenerf.training.config.PRESETS`.
-        steps: After one that warms up.
+        steps: After those that warm up, one of each kind.
+        perceptual: With the preset's perceptual term.
+        runtime: Where; any device by default.
     """
-    config = dataclasses.replace(PRESETS[preset], perceptual=0.0, perceptual_backbone="none")
+    runtime = runtime or Runtime()
+    config = dataclasses.replace(PRESETS[preset], perceptual_start=0.0)
+    if not perceptual:
+        config = dataclasses.replace(config, perceptual=0.0, perceptual_backbone="none")
     field_config = dataclasses.replace(FIELD_PRESETS[config.field_preset], **config.field_overrides)
     torch.manual_seed(config.seed)
     captures = analytic_captures(field_config)
@@ -74,34 +85,46 @@ def measure_steps(preset: str = "small", steps: int = 6) -> dict[str, Any]:
     maker = BatchMaker(
         captures, field_config.feature_size, field_config.ray_offset, config.shell is None, lambda _: (centres, radius)
     )
-    model = TwoStreamField(field_config).train()
-    objective = Objective(model, config, len(captures))
+    feed = Feed(maker, config, runtime)
+    model = TwoStreamField(field_config).train().to(runtime.device)
+    features = (
+        runtime.place(load_perceptual(config.perceptual_backbone, config.perceptual_stages)) if perceptual else None
+    )
+    objective = Objective(model, config, len(captures), features, None, runtime.operations()).to(runtime.device)
     optimizer = Optimizers(
         dict(objective.named_parameters()), config.optimizer, config.learning_rate, config.density_learning_rate,
-        config.muon_learning_rate,
+        config.muon_learning_rate, runtime.fused,
     )  # fmt: skip
-    runtime = Runtime()
     wrapped = runtime.setup(objective, optimizer)
-    rng = np.random.default_rng(0)
+    objective.operations = runtime.compiled_operations()
     seconds: dict[str, list[float]] = {name: [] for name in PARTS}
-    for step in range(steps + 1):
-        marks = [time.perf_counter()]
-        batch = maker.batch([int(i) for i in rng.integers(0, len(captures), config.batch)], rng).to(runtime.device)
-        marks.append(time.perf_counter())
+    warm = 1 if runtime.device.type == "cpu" else 2 * config.streams_every
+    for step in range(steps + warm):
+        marks = [_now(runtime)]
+        _, batch = feed.at(step)
+        marks.append(_now(runtime))
         with runtime.autocast():
             loss, _ = wrapped(batch, step, 0)
-        marks.append(time.perf_counter())
+        marks.append(_now(runtime))
         optimizer.zero_grad()
         runtime.backward(loss)
-        marks.append(time.perf_counter())
+        marks.append(_now(runtime))
         torch.nn.utils.clip_grad_norm_(objective.parameters(), config.gradient_clip)
         optimizer.step()
-        marks.append(time.perf_counter())
-        if step:
+        marks.append(_now(runtime))
+        if step >= warm:
             for name, a, b in zip(PARTS, marks[:-1], marks[1:], strict=True):
                 seconds[name].append(b - a)
+    feed.close()
     medians = {name: statistics.median(values) for name, values in seconds.items()}
     return {"preset": preset, "batch": config.batch, "seconds": medians, "steps_per_second": 1 / sum(medians.values())}
+
+
+def _now(runtime: Runtime) -> float:
+    """Seconds, when the device has done what it was given."""
+    if runtime.device.type == "cuda":
+        torch.cuda.synchronize(runtime.device)
+    return time.perf_counter()
 
 
 def main() -> None:
@@ -109,9 +132,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--preset", default="small", choices=PRESETS)
     parser.add_argument("--steps", type=int, default=6)
+    parser.add_argument("--perceptual", action="store_true", help="with the preset's perceptual term")
+    parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"))
+    parser.add_argument("--compile", default="auto", choices=COMPILE)
     parser.add_argument("--out", type=Path, help="JSON")
     args = parser.parse_args()
-    found, about = measure_steps(args.preset, args.steps), machine()
+    runtime = Runtime(args.device, compile=args.compile)
+    found, about = measure_steps(args.preset, args.steps, args.perceptual, runtime), machine()
     print(f"{about['processor']}, {about['threads']} threads, load {about['load']}")
     whole = sum(found["seconds"].values())
     split = ", ".join(f"{name} {value / whole:.0%}" for name, value in found["seconds"].items())

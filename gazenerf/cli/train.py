@@ -15,10 +15,10 @@ def run(options: TrainOptions) -> int:
 
     from rich.console import Console
 
-    from gazenerf.cli.common import showing_progress
+    from gazenerf.cli.common import showing_progress, warn
 
     with showing_progress(show=os.environ.get("LOCAL_RANK", "0") == "0") as progress:
-        written = train_field(options, progress)
+        written = train_field(options, progress, warn)
     if written is not None:
         Console().print(f"wrote {written}")
     return 0

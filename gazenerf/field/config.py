@@ -165,21 +165,24 @@ _CHOICES: dict[str, tuple[str, ...]] = {
 PAPER = FieldConfig()
 """The published GazeNeRF at full size, with weights that learn from scratch."""
 
+_SMALL = FieldConfig(
+    image_size=256,
+    feature_channels=72,
+    hidden=192,
+    frequencies=8,
+    merge="joint",
+    background="zeros",
+    sampler="guided",
+    shell=0.15,
+    shell_samples=8,
+    density_activation="softplus",
+    input_gains=(0.1, 1.0, 0.3, 0.3, 1.0),
+)
+
 PRESETS: dict[str, FieldConfig] = {
     "paper": dataclasses.replace(PAPER, background="zeros"),
-    "small": FieldConfig(
-        image_size=256,
-        feature_channels=72,
-        hidden=192,
-        frequencies=8,
-        merge="joint",
-        background="zeros",
-        sampler="guided",
-        shell=0.15,
-        shell_samples=8,
-        density_activation="softplus",
-        input_gains=(0.1, 1.0, 0.3, 0.3, 1.0),
-    ),
+    "small": _SMALL,
+    "portrait": dataclasses.replace(_SMALL, image_size=512, feature_size=128, hidden=256),
     "tiny": FieldConfig(
         image_size=32,
         feature_size=16,

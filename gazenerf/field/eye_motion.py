@@ -32,6 +32,9 @@ def rotate_features(features: torch.Tensor, label: torch.Tensor) -> torch.Tensor
     with torch.autocast(features.device.type, enabled=False):
         rotation = gaze_rotation(label.float())
         groups = features.float().unflatten(-1, (-1, 3))
+        if rotation.dim() == groups.dim() and rotation.shape[-3] == 1:  # one product a picture, not one a feature
+            turned = groups.flatten(-3, -2) @ rotation.squeeze(-3)
+            return turned.unflatten(-2, groups.shape[-3:-1]).flatten(-2)
         return (groups @ rotation).flatten(-2)
 
 

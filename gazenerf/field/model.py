@@ -43,7 +43,7 @@ class TwoStreamField(nn.Module):
 
     def label(self, gaze: torch.Tensor) -> torch.Tensor:
         """Native gaze (..., 2) = (pitch up, yaw left) to what the streams' label means."""
-        return gaze * gaze.new_tensor(self.config.gaze_label_signs)
+        return gaze * _filled(self.config.gaze_label_signs, gaze)
 
     def move_eyes(self, features: torch.Tensor, label: torch.Tensor) -> torch.Tensor:
         """Features (..., C) turned by the configured eye motion; label (..., 2) broadcasts."""
@@ -54,7 +54,7 @@ class TwoStreamField(nn.Module):
         box = self.config.eyes_box
         if name != "eyes" or box is None:
             return density
-        low, high = points.new_tensor(box[:3]), points.new_tensor(box[3:])
+        low, high = _filled(box[:3], points), _filled(box[3:], points)
         return density * ((points >= low) & (points <= high)).all(-1)
 
     def query(
@@ -150,3 +150,8 @@ class TwoStreamField(nn.Module):
             if name != "head":
                 out[f"image_{name}"] = picture(maps[name])
         return out
+
+
+def _filled(values: tuple[float, ...], like: torch.Tensor) -> torch.Tensor:
+    """(n,) of constants made where `like` lives: copied from the host, each would make a GPU wait."""
+    return torch.cat([like.new_full((1,), value) for value in values])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import torch
 from scipy import ndimage
 
+from gazenerf.cores import usable_cores
 from gazenerf.data.captures import Capture
 
 EYE_CROP = (12, 32)
@@ -138,8 +140,15 @@ class Batch:
     eye_radius: float
 
     def to(self, device: torch.device) -> Batch:
-        """The same batch on another device."""
-        moved: dict[str, Any] = {k: v.to(device) if isinstance(v, torch.Tensor) else v for k, v in vars(self).items()}
+        """The same batch on another device; from pinned memory the copies are not waited for."""
+        return self._each(lambda value: value.to(device, non_blocking=value.is_pinned()))
+
+    def pinned(self) -> Batch:
+        """The same batch in memory from which a GPU copies by itself."""
+        return self._each(torch.Tensor.pin_memory)
+
+    def _each(self, change: Callable[[torch.Tensor], torch.Tensor]) -> Batch:
+        moved: dict[str, Any] = {k: change(v) if isinstance(v, torch.Tensor) else v for k, v in vars(self).items()}
         return Batch(**moved)
 
 
@@ -169,11 +178,13 @@ class BatchMaker:
         self.ray_offset = ray_offset
         self.targets: list[RayTargets] = []
         self.eyeballs: list[tuple[np.ndarray, float] | None] = []
-        for number, capture in enumerate(captures):
-            self.targets.append(ray_targets(capture, feature_size, all_rays))
-            self.eyeballs.append(None if eyeballs is None else eyeballs(capture))
-            if progress is not None:
-                progress(number + 1)
+        with ThreadPoolExecutor(usable_cores()) as threads:
+            summaries = threads.map(lambda capture: ray_targets(capture, feature_size, all_rays), captures)
+            for number, (capture, target) in enumerate(zip(captures, summaries, strict=True)):
+                self.targets.append(target)
+                self.eyeballs.append(None if eyeballs is None else eyeballs(capture))
+                if progress is not None:
+                    progress(number + 1)
 
     def __len__(self) -> int:
         return len(self.captures)

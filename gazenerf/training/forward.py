@@ -11,6 +11,7 @@ from gazenerf.field.model import TwoStreamField
 from gazenerf.field.sampling import RaySamples, shell_samples, slab_samples
 from gazenerf.training.batches import Batch, eye_crop
 from gazenerf.training.geometry_terms import TwoStreamRays, geometry_terms, pick
+from gazenerf.training.operations import REFERENCE, Operations
 
 
 @dataclass
@@ -43,6 +44,7 @@ def render_batch(
     face_image: bool = False,
     eyes_image: bool = True,
     geometry: bool = True,
+    operations: Operations = REFERENCE,
 ) -> TrainingRender:
     """Render a batch through the rays it lists (paper Sec. 3.2).
 
@@ -54,8 +56,9 @@ def render_batch(
         jitter: Stratified samples; the middle of each interval otherwise.
         face_image, eyes_image: Render the streams' own pictures too.
         geometry: Compute the geometry terms (needs captured depth).
+        operations: How pictures are drawn from feature maps.
     """
-    maps = _Maps(model, batch)
+    maps = _Maps(model, batch, operations)
     t, deltas = _samples(model, batch, shell, samples, noise, jitter)
     points = batch.rays_o[:, :, None] + t[..., None] * batch.rays_d[:, :, None]
     window = batch.eye_corner * (model.config.image_size // maps.size)
@@ -71,25 +74,22 @@ def render_batch(
     eyes_condition = model.stream("eyes").condition(batch.shape_code, batch.appearance_code, maps.label)
     eyes = model.samples("eyes", pick(points, batch.eye_rays), eyes_condition)
     eye_deltas, eye_pixels = pick(deltas, batch.eye_rays), batch.rays.gather(1, batch.eye_rays)
-    eyes_map = maps.turn(maps.whole(composite_stream(eyes, eye_deltas), eye_pixels))
+    eyes_map = maps.whole(composite_stream(eyes, eye_deltas), eye_pixels)
     face_near = StreamSamples(pick(face.density, batch.eye_rays), pick(face.features, batch.eye_rays), face.project)
     joint = composite_streams(face_near, eyes, eye_deltas, maps.turn)
     if model.config.merge == "joint":
         merged = _put(face_map, eye_pixels, joint.over(pick(maps.background, eye_pixels)))
     else:
+        eyes_map = maps.turn(eyes_map)
         merged = torch.maximum(face_map, eyes_map)
 
     terms: dict[str, torch.Tensor] = {}
     if geometry:
         rays = TwoStreamRays(t, face.density, face_alone, joint, first_condition, eyes_condition)
         terms = geometry_terms(model, batch, rays)
-    return TrainingRender(
-        maps.picture(merged),
-        maps.eye_crop(eyes_map) if eyes_image else None,
-        window,
-        maps.picture(face_map) if face_image else None,
-        terms,
-    )
+    whole, face_alone_image = maps.pictures(merged, face_map if face_image else None)
+    eyes_alone_image = maps.eye_crop(eyes_map, turn=model.config.merge == "joint") if eyes_image else None
+    return TrainingRender(whole, eyes_alone_image, window, face_alone_image, terms)
 
 
 def _samples(
@@ -121,8 +121,9 @@ class _Maps:
         background: (B, size * size, C).
     """
 
-    def __init__(self, model: TwoStreamField, batch: Batch) -> None:
+    def __init__(self, model: TwoStreamField, batch: Batch, operations: Operations) -> None:
         self.model, self.batch, self.size = model, batch, model.config.feature_size
+        self.operations = operations
         self.label = model.label(batch.gaze)
         background = model.renderer.background(self.size, self.size).float()
         self.background = background.flatten(2).transpose(1, 2).expand(len(batch.rays), -1, -1)
@@ -138,12 +139,22 @@ class _Maps:
     def picture(self, feature_map: torch.Tensor, height: int | None = None, width: int | None = None) -> torch.Tensor:
         """A feature map (B, h * w, C) drawn, (B, 3, H, W)."""
         height, width = height or self.size, width or self.size
-        return self.model.renderer(feature_map.transpose(1, 2).reshape(len(feature_map), -1, height, width)).float()
+        return self.operations.pictures(self.model.renderer, feature_map.unflatten(1, (height, width)))
 
-    def eye_crop(self, feature_map: torch.Tensor) -> torch.Tensor:
-        """The picture of the crop around the eyes."""
+    def pictures(self, merged: torch.Tensor, face: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor | None]:
+        """The merged map and, where given, the face's (B, size * size, C) drawn."""
+        if face is None:
+            return self.picture(merged), None
+        if self.operations.together:
+            both = self.picture(torch.cat([merged, face]))
+            return both[: len(merged)], both[len(merged) :]
+        return self.picture(merged), self.picture(face)
+
+    def eye_crop(self, feature_map: torch.Tensor, turn: bool) -> torch.Tensor:
+        """The picture of the crop around the eyes of a map (B, size * size, C); `turn` turns it by the gaze first."""
         height, width = eye_crop(self.size)
         rows = self.batch.eye_corner[:, :1] + torch.arange(height, device=feature_map.device)
         columns = self.batch.eye_corner[:, 1:] + torch.arange(width, device=feature_map.device)
         crop = (rows[:, :, None] * self.size + columns[:, None, :]).reshape(len(feature_map), -1)
-        return self.picture(pick(feature_map, crop), height, width)
+        rows_seen = pick(feature_map, crop)
+        return self.picture(self.turn(rows_seen) if turn else rows_seen, height, width)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -11,9 +10,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from PIL import Image
 from torch import nn
-from torch.optim.swa_utils import AveragedModel
 
 from gazenerf.checkpoints import save_field
 from gazenerf.data.captures import Capture
@@ -21,12 +18,17 @@ from gazenerf.errors import UserError
 from gazenerf.field.config import FieldConfig
 from gazenerf.field.model import TwoStreamField
 from gazenerf.files import whole_file
+from gazenerf.training.averaging import average_weights, update_average
 from gazenerf.training.batches import BatchMaker
 from gazenerf.training.config import TrainConfig
-from gazenerf.training.forward import render_batch
+from gazenerf.training.feed import Feed
+from gazenerf.training.initial import starting_field
 from gazenerf.training.objective import Objective, schedule
+from gazenerf.training.operations import FeatureMaps
 from gazenerf.training.optimizers import Optimizers
-from gazenerf.training.runtime import Runtime
+from gazenerf.training.pace import Pace
+from gazenerf.training.record import append_row, forget_after, read_state, write_preview
+from gazenerf.training.runtime import Runtime, is_out_of_memory
 
 STATE = "state.pt"
 LOG = "log.jsonl"
@@ -38,7 +40,7 @@ class TrainingStep:
     """What a callback is told after a step.
 
     Attributes:
-        step, steps: Done and planned.
+        step, steps: Done and planned; where time shapes the run, planned at the speed so far.
         seconds: Since this process started stepping.
         parts: Weighted parts of the loss.
     """
@@ -78,16 +80,18 @@ def train(
     *,
     held_out: Sequence[Capture] = (),
     eyeballs: Callable[[Capture], tuple[np.ndarray, float]] | None = None,
-    features: Callable[[torch.Tensor], list[torch.Tensor]] | None = None,
+    features: FeatureMaps | None = None,
     estimate_gaze: Callable[[torch.Tensor], torch.Tensor] | None = None,
     runtime: Runtime | None = None,
     resume: bool = False,
     initial: TwoStreamField | None = None,
+    minutes: float | None = None,
     stop_after: float | None = None,
     save_every: int = 250,
     preview_every: int = 250,
     about: dict[str, Any] | None = None,
     on_step: Callable[[TrainingStep], None] | None = None,
+    say: Callable[[str], None] = lambda text: None,
 ) -> TwoStreamField:
     """Train a field on captures and write it to `out`.
 
@@ -102,14 +106,17 @@ def train(
         features, estimate_gaze: See `Objective`.
         resume: Continue from `out/state.pt`.
         initial: Start from this field's weights instead of fresh ones.
+        minutes: Shape learning rate, perceptual start and geometry decay to so much time, instead of to
+            `config.steps`, and end when it is spent. Such a run is not repeatable: a faster machine makes more steps.
         stop_after: Minutes after which to save and return early.
         about: Provenance stored with the weights.
         on_step: Called after every step.
+        say: Told, in a line each, what a GPU could not do and what is done instead.
 
     Raises:
-        UserError: sizes do not match, nothing to resume, or the loss is not finite.
+        UserError: sizes do not match, nothing to resume, the loss is not finite, or a GPU has too little memory.
     """
-    _check(captures, field_config)
+    _check(captures, field_config, minutes)
     runtime = runtime or Runtime()
     torch.manual_seed(config.seed)
     field_config = replace(
@@ -117,36 +124,40 @@ def train(
         trained_gaze_range=trained_range(captures),
         eyes_box=None if eyeballs is None or config.shell is None else eyes_box(captures, eyeballs),
     )
-    model = (initial if initial is not None else TwoStreamField(field_config)).requires_grad_(True)
-    objective = Objective(model, config, len(captures), features, estimate_gaze)
-    run = _Run(Path(out), field_config, config, runtime, model, objective, about or {}, len(captures))
+    model = starting_field(field_config, initial).requires_grad_(True).to(runtime.device)
+    frozen = runtime.place(features), runtime.place(estimate_gaze)
+    objective = Objective(model, config, len(captures), *frozen, runtime.operations()).to(runtime.device)
+    run = _Run(Path(out), field_config, Pace(config.steps, minutes), runtime, objective, about or {}, len(captures))
     if resume:
         run.resume()
     wrapped = runtime.setup(objective, run.optimizer)
+    objective.operations = runtime.compiled_operations()
     maker = BatchMaker(captures, field_config.feature_size, field_config.ray_offset, config.shell is None, eyeballs)
     watch = BatchMaker(held_out, field_config.feature_size, field_config.ray_offset, config.shell is None)
+    run.begin(wrapped, Feed(maker, config, runtime, say), say)
     model.train()
-    while run.step < config.steps:
-        values = run.advance(wrapped, maker)
-        seconds = run.seconds
+
+    def after_step(values: dict[str, float]) -> None:
         if runtime.rank == 0:
             if on_step is not None:
-                on_step(TrainingStep(run.step, config.steps, seconds, values))
-            if len(held_out) and (run.step % preview_every == 0 or run.step == config.steps):
+                on_step(TrainingStep(run.step, run.pace.steps_expected(run.step), run.seconds, values))
+            if len(held_out) and (run.step % preview_every == 0 or run.done):
                 run.preview(watch)
         if run.step % save_every == 0:
             run.save()
-        if stop_after is not None and seconds > 60.0 * stop_after:
-            break
+
+    run.finish(after_step, stop_after)
     run.save()
     model.load_state_dict(run.weights())
     return model.eval()
 
 
-def _check(captures: Sequence[Capture], field_config: FieldConfig) -> None:
-    """Raise UserError where captures and field do not fit."""
+def _check(captures: Sequence[Capture], field_config: FieldConfig, minutes: float | None) -> None:
+    """Raise UserError where captures and field do not fit, or a run has no time."""
     if not captures:
         raise UserError("no captures to train on; make some with `gazenerf synthesize`")
+    if minutes is not None and not 0.0 < minutes < float("inf"):
+        raise UserError(f"--minutes must be above 0, got {minutes:g}")
     sizes = (field_config.identity, field_config.expression, field_config.texture, field_config.illumination)
     if captures[0].codes.sizes != sizes:
         raise UserError(f"the captures' codes are {captures[0].codes.sizes}, the field's {sizes}")
@@ -157,28 +168,12 @@ def _check(captures: Sequence[Capture], field_config: FieldConfig) -> None:
         )
 
 
-def average_weights(model: TwoStreamField, decay: float) -> AveragedModel:
-    """Averaged weights that start as the model's own; after n updates a part min(decay, (n + 1) / (n + 10)) is kept."""
-
-    def blend(
-        averaged: tuple[torch.Tensor, ...] | list[torch.Tensor],
-        current: tuple[torch.Tensor, ...] | list[torch.Tensor],
-        updates: torch.Tensor | int,
-    ) -> None:
-        kept = min(decay, (int(updates) + 1) / (int(updates) + 10))
-        for mean, value in zip(averaged, current, strict=True):
-            mean.lerp_(value, 1.0 - kept)
-
-    found = AveragedModel(model, multi_avg_fn=blend)
-    found.update_parameters(model)
-    return found
-
-
 class _Run:
     """What a training run carries from step to step, and how it is written and read back.
 
     Attributes:
         step: Steps done.
+        pace: How much of the run they are.
         spent: Seconds of the processes before this one.
     """
 
@@ -186,30 +181,50 @@ class _Run:
         self,
         out: Path,
         field_config: FieldConfig,
-        config: TrainConfig,
+        pace: Pace,
         runtime: Runtime,
-        model: TwoStreamField,
         objective: Objective,
         about: dict[str, Any],
         pictures: int,
     ) -> None:
-        self.out, self.field_config, self.config, self.runtime = out, field_config, config, runtime
-        self.model, self.objective, self.about, self.pictures = model, objective, about, pictures
+        config = objective.config
+        self.out, self.field_config, self.config, self.pace, self.runtime = out, field_config, config, pace, runtime
+        self.model, self.objective, self.about, self.pictures = objective.model, objective, about, pictures
         self.optimizer = Optimizers(
             dict(objective.named_parameters()),
             config.optimizer,
             config.learning_rate,
             config.density_learning_rate,
             config.muon_learning_rate,
+            runtime.fused,
         )
-        self.average = average_weights(model, config.ema) if config.ema else None
+        self.average = average_weights(self.model, config.ema) if config.ema else None
         self.step, self.spent = 0, 0.0
+
+    def begin(self, wrapped: nn.Module, feed: Feed, say: Callable[[str], None]) -> None:
+        """Start the clock, with the objective as the runtime wrapped it."""
+        self._wrapped, self._feed, self._say = wrapped, feed, say
         self._started = time.monotonic()
+
+    def finish(self, after_step: Callable[[dict[str, float]], None], stop_after: float | None) -> None:
+        """Step until the run is done or so many minutes have passed; what works in the background is stopped."""
+        try:
+            while not self.done:
+                after_step(self.advance())
+                if stop_after is not None and self.runtime.agree(self.seconds) > 60.0 * stop_after:
+                    break
+        finally:
+            self._feed.close()
 
     @property
     def seconds(self) -> float:
-        """Since this process started."""
+        """Since this process started stepping."""
         return time.monotonic() - self._started
+
+    @property
+    def done(self) -> bool:
+        """Whether all steps are made, or all time is spent."""
+        return self.pace.done(self.step)
 
     def weights(self) -> dict[str, torch.Tensor]:
         """What is saved and shown: averaged, or the last ones."""
@@ -222,43 +237,96 @@ class _Run:
         Raises:
             UserError: there is none, or it is another run's.
         """
-        state = _read_state(self.out / STATE)
-        self.objective.load_state_dict(state["objective"])
+        path = self.out / STATE
+        state = read_state(path)
         try:
+            self.objective.load_state_dict(state["objective"])
             self.optimizer.load_state_dict(state["optimizer"])
-        except ValueError as error:
-            raise UserError(f"cannot resume from {self.out / STATE}: {error}") from error
+            if self.average is not None:
+                self.average.module.load_state_dict(state["average"] or self.model.state_dict())
+        except (ValueError, RuntimeError) as error:
+            reason = " ".join(str(error).split())[:200]
+            raise UserError(f"cannot resume from {path} ({reason}); give the preset and settings it has") from error
         self.step, self.spent = int(state["step"]), float(state["seconds"])
+        self.pace.resume(state.get("share"), shaped_by_time=state.get("minutes") is not None)
         if self.average is not None:
-            self.average.module.load_state_dict(state["average"] or self.model.state_dict())
             self.average.n_averaged.fill_(self.step + 1)
-        _forget_after(self.out / LOG, self.step)
+        forget_after(self.out / LOG, self.step)
 
-    def advance(self, wrapped: nn.Module, maker: BatchMaker) -> dict[str, float]:
-        """One optimiser step; the weighted parts of its loss."""
+    def advance(self) -> dict[str, float]:
+        """One optimiser step; the weighted parts of its loss.
+
+        A GPU without memory, or an operation that cannot be compiled, makes it begin anew, in another way.
+        """
+        while True:
+            try:
+                values = self._advance()
+            except UserError:
+                raise
+            except Exception as error:
+                change = self._way_out(error)
+                if change is None:
+                    raise
+            else:
+                self.pace.tick(self.runtime.agree(self.seconds))
+                return values
+            self.optimizer.zero_grad()  # only here, where the error no longer holds the step's tensors
+            change()
+
+    def _way_out(self, error: Exception) -> Callable[[], None] | None:
+        """How to go on after an error of a step on one device; None where nothing is known to help.
+
+        Raises:
+            UserError: out of memory with nothing left to move away.
+        """
+        alone = self.runtime.world == 1
+        if is_out_of_memory(error):
+            if alone and self._feed.held == "device":
+                return lambda: self._feed.keep_in_main_memory("the GPU ran out of memory")
+            raise UserError(
+                f"the GPU has too little memory for {self.config.batch} pictures of {self.field_config.image_size} px "
+                f"a step; lower it: --set batch={max(1, self.config.batch // 2)}, then --resume"
+            ) from error
+        if alone and self.runtime.compile and self.objective.operations != self.runtime.operations():
+            reason = " ".join(f"{type(error).__name__}: {error}".split())[:160]
+
+            def plainly() -> None:
+                self.objective.operations = self.runtime.operations()
+                self._say(f"torch.compile does not work here ({reason}); training goes on without it")
+
+            return plainly
+        return None
+
+    def _advance(self) -> dict[str, float]:
         config, runtime, step = self.config, self.runtime, self.step
         torch.manual_seed(config.seed * 1_000_003 + step * 31 + runtime.rank)
-        epoch, indices = _draw(self.pictures, config.batch * runtime.world, step, config.seed)
-        mine = indices[runtime.rank * config.batch : (runtime.rank + 1) * config.batch]
-        rng = np.random.default_rng((config.seed, step, runtime.rank))
-        batch = maker.batch(mine, rng).to(runtime.device)
-        self.optimizer.set_rate(schedule(config, step))
+        epoch, batch = self._feed.at(step)
+        self.optimizer.set_rate(schedule(config, step, self.pace.share_of_time))
         with runtime.autocast():
-            loss, parts = wrapped(batch, step, epoch)
-        if not torch.isfinite(loss):
-            raise UserError(f"the loss is not finite at step {step}; lower the learning rate and --resume")
+            loss, parts = self._wrapped(batch, step, epoch, self.pace.share(step))
+        read = runtime.reading(torch.stack([loss, *parts.values()]).detach())
+        numbers = None if runtime.fused else self._finite(read())
         self.optimizer.zero_grad()
         runtime.backward(loss)
         torch.nn.utils.clip_grad_norm_(self.objective.parameters(), config.gradient_clip)
         self.optimizer.step()
         self.step += 1
-        if self.average is not None:
+        if self.average is not None and runtime.fused:
+            update_average(self.average, self.model, self.step, config.ema)
+        elif self.average is not None:
             self.average.update_parameters(self.model)
-        values = {name: float(part.detach()) for name, part in parts.items()}
+        numbers = self._finite(read()) if numbers is None else numbers
+        values = dict(zip(parts, numbers[1:], strict=True))
         if runtime.rank == 0:
             row = {"step": self.step, "seconds": round(self.spent + self.seconds, 2), "epoch": epoch, **values}
-            _append(self.out / LOG, row)
+            append_row(self.out / LOG, row)
         return values
+
+    def _finite(self, numbers: list[float]) -> list[float]:
+        """The loss and its parts; on a GPU they arrive when the step is made, but nothing of it is saved."""
+        if not np.isfinite(numbers[0]):
+            raise UserError(f"the loss is not finite at step {self.step}; lower the learning rate and --resume")
+        return numbers
 
     def save(self) -> None:
         """Write the state to resume from, and the field."""
@@ -271,12 +339,16 @@ class _Run:
             "average": None if self.average is None else self.average.module.state_dict(),
             "step": self.step,
             "seconds": elapsed,
+            "share": self.pace.share(self.step),
+            "minutes": self.pace.minutes,
         }
         with whole_file(self.out / STATE) as temporary:
             torch.save(state, temporary)
         best = TwoStreamField(self.field_config)
         best.load_state_dict(self.weights())
         story = {"steps": self.step, "minutes": round(elapsed / 60, 1), "pictures": self.pictures, **self.about}
+        if self.pace.minutes is not None:
+            story["shaped_to_minutes"] = self.pace.minutes
         save_field(best, self.out / FIELD, {**story, "training": self.config.to_dict()})
 
     def preview(self, watch: BatchMaker) -> None:
@@ -284,71 +356,5 @@ class _Run:
         shown = TwoStreamField(self.field_config).to(self.runtime.device)
         shown.load_state_dict(self.weights())
         path = self.out / "previews" / f"{self.step:06d}.png"
-        found = _preview(shown, watch, self.config, self.runtime, path)
-        _append(self.out / LOG, {"step": self.step, "held_out_psnr": found})
-
-
-def _draw(pictures: int, per_step: int, step: int, seed: int) -> tuple[int, list[int]]:
-    """Epoch and picture indices of a step: each epoch visits every picture once, in seeded order."""
-    first = step * per_step
-    chosen = []
-    for position in range(first, first + per_step):
-        epoch, place = divmod(position, pictures)
-        order = np.random.default_rng((seed, 7, epoch)).permutation(pictures)
-        chosen.append(int(order[place]))
-    return first // pictures, chosen
-
-
-def _read_state(path: Path) -> dict[str, Any]:
-    if not path.is_file():
-        raise UserError(f"nothing to resume: {path} is not there; train without --resume first")
-    try:
-        return torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:
-        raise UserError(f"cannot resume from {path}: {error}") from error
-
-
-def _append(path: Path, row: dict[str, Any]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a") as file:
-        file.write(json.dumps({key: round(v, 6) if isinstance(v, float) else v for key, v in row.items()}) + "\n")
-
-
-def _forget_after(path: Path, step: int) -> None:
-    """Drop the log's rows beyond a step, which a resumed run writes again."""
-    if path.is_file():
-        rows = [line for line in path.read_text().splitlines() if json.loads(line)["step"] <= step]
-        with whole_file(path) as temporary:
-            temporary.write_text("".join(f"{row}\n" for row in rows))
-
-
-@torch.no_grad()
-def _preview(
-    model: TwoStreamField, watch: BatchMaker, config: TrainConfig, runtime: Runtime, path: Path, count: int = 6
-) -> dict[str, float]:
-    """Write captured, merged and face-only pictures side by side; PSNR inside heads and eyes, dB."""
-    model.eval()
-    rows, head_error, eyes_error = [], [], []
-    chosen = np.linspace(0, len(watch) - 1, min(count, len(watch))).astype(int)
-    for index in chosen.tolist():
-        batch = watch.batch([index], np.random.default_rng(0)).to(runtime.device)
-        with runtime.autocast():
-            render = render_batch(
-                model, batch, shell=config.shell, samples=config.shell_samples, jitter=False, face_image=True,
-                geometry=False,
-            )  # fmt: skip
-        error = ((render.image - batch.image) ** 2).mean(1)
-        head_error.append(float(error[batch.parts > 0].mean()))
-        if bool((batch.parts >= 2).any()):
-            eyes_error.append(float(error[batch.parts >= 2].mean()))
-        tiles = [batch.image, render.image]
-        if render.face_image is not None:
-            tiles.append(render.face_image)
-        rows.append(torch.cat(tiles, dim=3)[0])
-    sheet = torch.cat(rows, dim=1).clamp(0, 1).permute(1, 2, 0).float().cpu().numpy()
-    with whole_file(path) as temporary:
-        Image.fromarray((sheet * 255 + 0.5).astype(np.uint8)).save(temporary)
-    psnr = {"head": -10.0 * float(np.log10(np.mean(head_error)))}
-    if eyes_error:
-        psnr["eyes"] = -10.0 * float(np.log10(np.mean(eyes_error)))
-    return {name: round(value, 2) for name, value in psnr.items()}
+        found = write_preview(shown, watch, self.config, self.runtime, path)
+        append_row(self.out / LOG, {"step": self.step, "held_out_psnr": found})

@@ -17,9 +17,9 @@ from gazenerf.training.losses import (
     disentanglement_loss,
     functional_weight,
     gaze_loss,
-    perceptual_loss,
     reconstruction_loss,
 )
+from gazenerf.training.operations import REFERENCE, FeatureMaps, Operations
 
 
 class Offsets(nn.Module):
@@ -51,13 +51,26 @@ class Offsets(nn.Module):
         )
 
 
-def schedule(config: TrainConfig, step: int) -> float:
-    """Learning rate at a step: linear warm-up, then a cosine to the final rate."""
-    if step < config.warmup:
-        return config.learning_rate * (step + 1) / config.warmup
-    share = min(1.0, (step - config.warmup) / max(1, config.steps - config.warmup))
+WARMUP_SHARE = 0.05
+"""A run shaped by time has warmed up after this share of it, however few steps that were."""
+
+
+def schedule(config: TrainConfig, step: int, share: float | None = None) -> float:
+    """Learning rate at a step: linear warm-up, then a cosine to the final rate.
+
+    Args:
+        config: Rates, steps, warm-up.
+        step: From zero.
+        share: Of the run's time that is spent, 0 to 1, where time shapes the run instead of `config.steps`.
+    """
     low, high = config.final_learning_rate, config.learning_rate
-    return low + 0.5 * (high - low) * (1.0 + math.cos(math.pi * share))
+    if share is None:
+        if step < config.warmup:
+            return high * (step + 1) / config.warmup
+        share = min(1.0, (step - config.warmup) / max(1, config.steps - config.warmup))
+        return low + 0.5 * (high - low) * (1.0 + math.cos(math.pi * share))
+    warm = min(1.0, max((step + 1) / max(1, config.warmup), share / WARMUP_SHARE))
+    return warm * (low + 0.5 * (high - low) * (1.0 + math.cos(math.pi * min(1.0, share))))
 
 
 class Objective(nn.Module):
@@ -69,6 +82,9 @@ class Objective(nn.Module):
         pictures: How many captures there are, for the tables of offsets.
         features: Pictures (B, 3, H, W) to a list of feature maps, for the perceptual loss.
         estimate_gaze: Pictures (B, 3, H, W) to gaze (B, 2), for the functional loss.
+
+    Attributes:
+        operations: How pictures and the perceptual loss are computed; may be changed between steps.
     """
 
     def __init__(
@@ -76,12 +92,14 @@ class Objective(nn.Module):
         model: TwoStreamField,
         config: TrainConfig,
         pictures: int,
-        features: Callable[[torch.Tensor], list[torch.Tensor]] | None = None,
+        features: FeatureMaps | None = None,
         estimate_gaze: Callable[[torch.Tensor], torch.Tensor] | None = None,
+        operations: Operations = REFERENCE,
     ) -> None:
         super().__init__()
         self.model = model
         self.config = config
+        self.operations = operations
         field = model.config
         self.offsets = (
             Offsets(pictures, (field.identity, field.expression, field.texture, field.illumination))
@@ -90,8 +108,17 @@ class Objective(nn.Module):
         )
         self._frozen = (features, estimate_gaze)
 
-    def forward(self, batch: Batch, step: int, epoch: int = 0) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
-        """Loss and its named parts, each weighted as it enters the sum."""
+    def forward(
+        self, batch: Batch, step: int, epoch: int = 0, share: float | None = None
+    ) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+        """Loss and its named parts, each weighted as it enters the sum.
+
+        Args:
+            batch: On the field's device.
+            step: Steps done before this one.
+            epoch: Times that every capture was shown.
+            share: Of the run that is done, 0 to 1; `step` over all steps by default.
+        """
         config = self.config
         moved = batch
         parts: dict[str, torch.Tensor] = {}
@@ -109,7 +136,7 @@ class Objective(nn.Module):
                 parts["disentanglement"] = config.disentanglement * disentanglement_loss(
                     deltas, zeros, config.code_weights
                 )
-        progress = step / max(1, config.steps)
+        progress = step / max(1, config.steps) if share is None else share
         geometry = any((config.depth, config.surface, config.opacity, config.empty, config.eyeball))
         render = render_batch(
             self.model,
@@ -119,6 +146,7 @@ class Objective(nn.Module):
             noise=config.shell_noise,
             face_image=step % config.streams_every == 0,
             geometry=geometry,
+            operations=self.operations,
         )
         parts |= self._pictures(render, batch, progress, epoch)
         if geometry:
@@ -138,11 +166,14 @@ class Objective(nn.Module):
         head = (batch.parts > 0)[:, None]
         eyes = (batch.parts >= 2)[:, None]
         face = (batch.parts == 1)[:, None]
-        parts = {"whole": config.reconstruction * reconstruction_loss(render.image, batch.image, head)}
+        wanted = {"whole": (config.reconstruction, head)}
         if config.background_weight:
-            parts["background"] = config.background_weight * reconstruction_loss(render.image, batch.image, ~head)
+            wanted["background"] = (config.background_weight, ~head)
         if config.eyes_weight:
-            parts["eyes_merged"] = config.eyes_weight * reconstruction_loss(render.image, batch.image, eyes)
+            wanted["eyes_merged"] = (config.eyes_weight, eyes)
+        masks_of = [mask for _, mask in wanted.values()]
+        found = self.operations.reconstruction(render.image, batch.image, masks_of)
+        parts = {name: weight * loss for (name, (weight, _)), loss in zip(wanted.items(), found, strict=True)}
         if render.face_image is not None:
             parts["face"] = config.reconstruction * reconstruction_loss(render.face_image, batch.image, face)
         target = masks = None
@@ -156,28 +187,40 @@ class Objective(nn.Module):
                 pairs.append((render.face_image, face, batch.image))
             if render.eyes_image is not None and target is not None and masks is not None:
                 pairs.append((render.eyes_image, masks, target))
-            parts["perceptual"] = (
-                config.perceptual
-                * torch.stack(
-                    [perceptual_loss(features, image * mask, wanted * mask) for image, mask, wanted in pairs]
-                ).sum()
-            )
+            parts["perceptual"] = config.perceptual * self._perceptual(features, pairs)
         if config.functional and estimate_gaze is not None:
             weight = config.functional * functional_weight(epoch, config.functional_content)
             parts["functional"] = weight * gaze_loss(estimate_gaze, render.image * head, batch.image * head)
         return parts
 
+    def _perceptual(
+        self, features: FeatureMaps, pairs: list[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]
+    ) -> torch.Tensor:
+        """The sum of the losses of (picture, mask, target); where they go together, those of one size in one pass."""
+        compare = self.operations.perceptual
+        if not self.operations.together:
+            losses = [compare(features, image * mask, wanted * mask) for image, mask, wanted in pairs]
+            return torch.stack(losses).sum()
+        sizes: dict[tuple[int, ...], list[tuple[torch.Tensor, torch.Tensor]]] = {}
+        for image, mask, wanted in pairs:
+            sizes.setdefault(tuple(image.shape), []).append((image * mask, wanted * mask))
+        return torch.stack(
+            [
+                len(group) * compare(features, torch.cat([p for p, _ in group]), torch.cat([t for _, t in group]))
+                for group in sizes.values()
+            ]
+        ).sum()
+
 
 def _crop(images: torch.Tensor, render: TrainingRender) -> torch.Tensor:
-    """images (B, C, H, W) cut at each picture's eye window."""
+    """images (B, C, H, W) cut at each picture's eye window, whose place no host needs to know."""
     assert render.eyes_image is not None
     height, width = render.eyes_image.shape[-2:]
-    return torch.stack(
-        [
-            image[:, row : row + height, column : column + width]
-            for image, (row, column) in zip(images, render.eyes_window.tolist(), strict=True)
-        ]
-    )
+    rows = render.eyes_window[:, :1] + torch.arange(height, device=images.device)
+    columns = render.eyes_window[:, 1:] + torch.arange(width, device=images.device)
+    picture = torch.arange(len(images), device=images.device)
+    found = images.permute(0, 2, 3, 1)[picture[:, None, None], rows[:, :, None], columns[:, None, :]]
+    return found.permute(0, 3, 1, 2)
 
 
 __all__ = ["Objective", "Offsets", "schedule"]

@@ -7,6 +7,8 @@ from typing import Any
 import torch
 from torch import nn
 
+from gazenerf.training.muon import BatchedMuon
+
 OPTIMIZERS = ("adam", "muon")
 
 
@@ -25,6 +27,7 @@ class Optimizers:
         density_scale: The density layers learn this much faster: a surface needs densities near a
             hundred per unit, features and colours only values near one.
         muon_scale: Muon's learning rate over Adam's.
+        fused: Adam in one kernel and Muon in stacks of matrices, for parameters that lie on a GPU.
     """
 
     def __init__(
@@ -34,21 +37,25 @@ class Optimizers:
         rate: float,
         density_scale: float = 1.0,
         muon_scale: float = 1.0,
+        fused: bool = False,
     ) -> None:
         density = [name for name in parameters if name.endswith(("density.weight", "density.bias"))]
         hidden = [name for name, value in parameters.items() if kind == "muon" and is_hidden(name, value)]
         rest = [name for name in parameters if name not in {*density, *hidden}]
         self.members: list[Any] = [
             torch.optim.Adam(
-                [{"params": [parameters[n] for n in rest]}, {"params": [parameters[n] for n in density]}], lr=rate
+                [{"params": [parameters[n] for n in rest]}, {"params": [parameters[n] for n in density]}],
+                lr=rate,
+                fused=fused or None,
             )
         ]
         self._scales = [[1.0, density_scale]]
         if hidden:
+            turned = [parameters[n] for n in hidden]
             self.members.append(
-                torch.optim.Muon(
-                    [parameters[n] for n in hidden], lr=rate, weight_decay=0.0, adjust_lr_fn="match_rms_adamw"
-                )
+                BatchedMuon(turned, rate)
+                if fused
+                else torch.optim.Muon(turned, lr=rate, weight_decay=0.0, adjust_lr_fn="match_rms_adamw")
             )
             self._scales.append([muon_scale])
 
@@ -73,7 +80,7 @@ class Optimizers:
         return [member.state_dict() for member in self.members]
 
     def load_state_dict(self, states: list[dict[str, Any]]) -> None:
-        """Read what `state_dict` gave.
+        """Read what `state_dict` gave, fused or not.
 
         Raises:
             ValueError: it is of other optimisers.
@@ -81,7 +88,15 @@ class Optimizers:
         if len(states) != len(self.members):
             raise ValueError("the state is of another optimizer setting")
         for member, state in zip(self.members, states, strict=True):
-            member.load_state_dict(state)
+            kept = [
+                {**theirs, **{name: ours[name] for name in _HOW & ours.keys()}}
+                for ours, theirs in zip(member.param_groups, state["param_groups"], strict=True)
+            ]
+            member.load_state_dict({**state, "param_groups": kept})
+
+
+_HOW = {"fused", "foreach"}
+"""Settings of a group that say how a step is computed, not what: a state written on another device keeps ours."""
 
 
 def is_hidden(name: str, value: torch.Tensor) -> bool:

@@ -172,7 +172,7 @@ def _vgg16_stages() -> list[nn.Module]:
     for number, widths in enumerate(VGG16):
         layers: list[nn.Module] = [nn.MaxPool2d(2)] if number else []
         for width in widths:
-            layers += [nn.Conv2d(channels, width, 3, padding=1), nn.ReLU()]
+            layers += [nn.Conv2d(channels, width, 3, padding=1), nn.ReLU(inplace=True)]
             channels = width
         stages.append(nn.Sequential(*layers))
     return stages
@@ -183,7 +183,7 @@ def _alexnet_stages() -> list[nn.Module]:
     channels = 3
     for width, kernel, stride, padding, pooled in ALEXNET:
         layers: list[nn.Module] = [nn.MaxPool2d(3, 2)] if pooled else []
-        layers += [nn.Conv2d(channels, width, kernel, stride, padding), nn.ReLU()]
+        layers += [nn.Conv2d(channels, width, kernel, stride, padding), nn.ReLU(inplace=True)]
         stages.append(nn.Sequential(*layers))
         channels = width
     return stages

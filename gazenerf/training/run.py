@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gazenerf.checkpoints import load_field
 from gazenerf.data import CaptureSet
+from gazenerf.data.captures import Capture
 from gazenerf.errors import UserError
 from gazenerf.field.config import PRESETS as FIELD_PRESETS
+from gazenerf.field.config import FieldConfig
 from gazenerf.options import option
 from gazenerf.progress import Progress, silent
 from gazenerf.training.config import PRESETS, TrainConfig
 from gazenerf.training.gaze_estimator import load_gaze_estimator
 from gazenerf.training.loop import FIELD, TrainingStep, train
 from gazenerf.training.perceptual import load_perceptual
-from gazenerf.training.runtime import Runtime
+from gazenerf.training.runtime import COMPILE, Runtime
 from gazenerf.training.split import eyeballs_of, split_captures
 
 
@@ -34,13 +37,15 @@ class TrainOptions:
         held_out_views: Share of the views of each person kept out.
         settings: `KEY=VALUE` that change the preset.
         device, devices, precision: See `Runtime`.
+        compile: Whether `torch.compile` fuses the heavy operations; `auto` tries on one GPU.
+        minutes: Shape learning rate, perceptual start and geometry decay to so much time instead of to steps.
         stop_after: Save and stop after so many minutes.
         gaze_estimator: For the functional loss; the bundled one by default.
     """
 
     data: Path = option(help="captures from `gazenerf synthesize`", metavar="DIR")
     out: Path = option(help="where the run is written", metavar="DIR")
-    preset: str = option("small", "small (default), paper or tiny", metavar="NAME")
+    preset: str = option("small", "small (default), portrait, paper or tiny", metavar="NAME")
     resume: bool = option(False, "continue the run in --out")
     initial: Path | None = option(None, "start from this checkpoint", flag="--from", metavar="FILE")
     held_out: int = option(1, "people (the last ones) never trained on", metavar="N")
@@ -49,16 +54,21 @@ class TrainOptions:
     device: str = option("auto", "where to compute (default: auto)", choices=("auto", "cpu", "cuda"))
     devices: int = option(1, "data-parallel over N devices", metavar="N")
     precision: str = option("auto", "of products (default: auto)", choices=("auto", "float32", "bfloat16"))
+    compile: str = option("auto", "torch.compile (default: auto, tried on one GPU)", choices=COMPILE)
+    minutes: float | None = option(None, "shape the schedule to this long instead of to steps", metavar="MINUTES")
     stop_after: float | None = option(None, "save and stop after this long", metavar="MINUTES")
     gaze_estimator: Path | None = option(None, "estimator for the functional loss", metavar="FILE")
 
 
-def train_field(options: TrainOptions, progress: Progress = silent) -> Path | None:
+def train_field(
+    options: TrainOptions, progress: Progress = silent, say: Callable[[str], None] = lambda text: None
+) -> Path | None:
     """Train a field.
 
     Args:
         options: See `TrainOptions`.
         progress: Told about steps, with the loss.
+        say: Told, in a line each, what a GPU could not do and what is done instead.
 
     Returns:
         The field's file; None in a process of a parallel run that writes nothing.
@@ -71,25 +81,16 @@ def train_field(options: TrainOptions, progress: Progress = silent) -> Path | No
     learned, watched = split_captures(captures, options.held_out, options.held_out_views)
     if not learned:
         raise UserError("nothing is left to train on; lower --held-out or --held-out-views")
-    identity, expression, texture, illumination = learned[0].codes.sizes
-    field_config = replace(
-        FIELD_PRESETS[config.field_preset],
-        identity=identity,
-        expression=expression,
-        texture=texture,
-        illumination=illumination,
-        image_size=learned[0].image.shape[0],
-    )
-    field_config = replace(field_config, **config.field_overrides)
+    field_config = _field_config(config, learned[0])
     features = estimate_gaze = None
     if config.perceptual:
         try:
-            features = load_perceptual(config.perceptual_backbone)
+            features = load_perceptual(config.perceptual_backbone, config.perceptual_stages)
         except UserError as error:
             raise UserError(f"{error}; or train without it: --set perceptual=0") from error
     if config.functional:
         estimate_gaze = load_gaze_estimator(options.gaze_estimator)
-    runtime = Runtime(options.device, options.devices, options.precision)
+    runtime = Runtime(options.device, options.devices, options.precision, options.compile)
 
     def on_step(state: TrainingStep) -> None:
         progress(f"training, loss {sum(state.parts.values()):.4f}", state.step, state.steps)
@@ -106,11 +107,37 @@ def train_field(options: TrainOptions, progress: Progress = silent) -> Path | No
         runtime=runtime,
         resume=options.resume,
         initial=None if options.initial is None else load_field(options.initial),
+        minutes=options.minutes,
         stop_after=options.stop_after,
         about={"preset": options.preset, "data": captures.manifest},
         on_step=on_step,
+        say=say,
     )
     return options.out / FIELD if runtime.rank == 0 else None
+
+
+def _field_config(config: TrainConfig, capture: Capture) -> FieldConfig:
+    """The preset's field at the captures' size and with their codes.
+
+    Raises:
+        UserError: there is no such field.
+    """
+    identity, expression, texture, illumination = capture.codes.sizes
+    size = capture.image.shape[0]
+    sizes = {
+        "identity": identity,
+        "expression": expression,
+        "texture": texture,
+        "illumination": illumination,
+        "image_size": size,
+    }
+    try:
+        return replace(FIELD_PRESETS[config.field_preset], **{**sizes, **config.field_overrides})
+    except (ValueError, TypeError) as error:
+        raise UserError(
+            f"captures of {size} px do not fit the field {config.field_preset!r}: {error}; "
+            "synthesize at another --size, or --set field_overrides"
+        ) from error
 
 
 def chosen_config(options: TrainOptions) -> TrainConfig:

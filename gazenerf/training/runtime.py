@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import torch
 from torch import nn
 
+from gazenerf.devices import choose_device
 from gazenerf.errors import UserError
+from gazenerf.training.operations import FUSED, REFERENCE, Operations, compiled
 from gazenerf.training.optimizers import Optimizers
+
+COMPILE = ("auto", "on", "off")
 
 
 def fast_bfloat16(device: torch.device) -> bool:
@@ -21,6 +25,13 @@ def fast_bfloat16(device: torch.device) -> bool:
     return bool(supported())
 
 
+def is_out_of_memory(error: BaseException) -> bool:
+    """Whether an error says that a GPU has no memory left, in the framework's words or a library's."""
+    if isinstance(error, torch.OutOfMemoryError):
+        return True
+    return isinstance(error, RuntimeError) and any(text in str(error) for text in ("out of memory", "ALLOC_FAILED"))
+
+
 class Runtime:
     """Moves, casts and steps an objective on one device or several.
 
@@ -28,16 +39,18 @@ class Runtime:
         device: `auto`, `cpu` or `cuda`.
         devices: How many; more than one needs the `lightning` package.
         precision: `auto`, `float32` or `bfloat16`.
+        compile: Run the heavy operations through `torch.compile`: `auto` does so on one GPU.
+
+    Attributes:
+        fused: Use the fused operations and optimisers; on a GPU.
+        compile: As decided.
 
     Raises:
         UserError: the device is not there, or several were asked for without Lightning Fabric.
     """
 
-    def __init__(self, device: str = "auto", devices: int = 1, precision: str = "auto") -> None:
-        if device == "auto":
-            device = "cuda" if torch.cuda.is_available() else "cpu"
-        if device == "cuda" and not torch.cuda.is_available():
-            raise UserError("no CUDA device is visible; use --device cpu")
+    def __init__(self, device: str = "auto", devices: int = 1, precision: str = "auto", compile: str = "auto") -> None:
+        chosen = choose_device(device)
         self.fabric: Any = None
         self.rank, self.world = 0, 1
         if devices > 1:
@@ -45,15 +58,62 @@ class Runtime:
                 from lightning.fabric import Fabric  # pyright: ignore[reportMissingImports]
             except ImportError as error:
                 raise UserError("training on several devices needs: pip install gazenerf[multi-gpu]") from error
-            self.fabric = Fabric(accelerator=device, devices=devices)
+            self.fabric = Fabric(accelerator=chosen.type, devices=devices)
             self.fabric.launch()
             self.rank, self.world = int(self.fabric.global_rank), int(self.fabric.world_size)
             self.device = torch.device(self.fabric.device)
         else:
-            self.device = torch.device(device)
+            unnumbered = chosen.type == "cuda" and chosen.index is None
+            self.device = torch.device("cuda", torch.cuda.current_device()) if unnumbered else chosen
         if precision not in ("auto", "float32", "bfloat16"):
             raise UserError(f"unknown precision {precision!r}; use auto, float32 or bfloat16")
+        if compile not in COMPILE:
+            raise UserError(f"unknown compile {compile!r}; use {', '.join(COMPILE)}")
+        if compile == "on" and devices > 1:
+            raise UserError("compiled operations need one device; leave --compile at auto or lower --devices to 1")
+        self.compile = compile == "on" or (compile == "auto" and self.device.type == "cuda" and devices == 1)
+        self.fused = self.device.type == "cuda"
+        if self.device.type == "cuda":
+            torch.backends.cudnn.benchmark = True
+            if precision != "float32":
+                torch.set_float32_matmul_precision("high")
         self.bfloat16 = precision == "bfloat16" or (precision == "auto" and fast_bfloat16(self.device))
+
+    def operations(self) -> Operations:
+        """How a step is computed here, before `torch.compile` and without."""
+        return FUSED if self.fused or self.compile else REFERENCE
+
+    def compiled_operations(self) -> Operations:
+        """`operations`, compiled where that is wanted."""
+        return compiled(self.operations()) if self.compile else self.operations()
+
+    def join_thread(self) -> None:
+        """Make this runtime's device the present one of the calling thread."""
+        if self.device.type == "cuda":
+            torch.cuda.set_device(self.device)
+
+    def place(self, function: Any) -> Any:
+        """A frozen network on this device; any other function as it is."""
+        return function.to(self.device) if isinstance(function, nn.Module) else function
+
+    def agree(self, value: float) -> float:
+        """The first process's value, so that all do the same whatever their clocks say."""
+        return value if self.fabric is None else float(self.fabric.broadcast(value))
+
+    def reading(self, values: torch.Tensor) -> Callable[[], list[float]]:
+        """Numbers (N,) on their way to the host; a call waits for what made them, not for what is queued after."""
+        if values.device.type != "cuda":
+            return values.tolist
+        on_host = torch.empty(values.shape, dtype=values.dtype, pin_memory=True)
+        on_host.copy_(values, non_blocking=True)
+        arrived = torch.cuda.Event()
+        arrived.record()
+
+        def read() -> list[float]:
+            arrived.synchronize()
+            return on_host.tolist()
+
+        return read
 
     def setup(self, objective: nn.Module, optimizers: Optimizers) -> nn.Module:
         """The objective, wrapped for this runtime; the optimisers are wrapped in place."""

@@ -9,6 +9,7 @@ import torch
 
 from gazenerf.field.config import PRESETS
 from gazenerf.field.model import TwoStreamField
+from gazenerf.training.muon import BatchedMuon
 from gazenerf.training.optimizers import Optimizers, is_hidden
 
 
@@ -58,3 +59,37 @@ def test_a_state_of_other_optimisers_is_refused():
     with pytest.raises(ValueError, match="another optimizer"):
         muon.load_state_dict(adam.state_dict())
     muon.load_state_dict(muon.state_dict())
+
+
+def test_stacked_matrices_move_as_one_after_another():
+    generator = torch.Generator().manual_seed(2)
+    shapes = [(32, 32), (32, 90), (32, 32), (64, 32), (16, 48), (32, 32)]
+    ours, theirs = ([torch.nn.Parameter(torch.ones(shape)) for shape in shapes] for _ in range(2))
+    stacked = BatchedMuon(ours, 1e-2)
+    reference = torch.optim.Muon(theirs, lr=1e-2, weight_decay=0.0, adjust_lr_fn="match_rms_adamw")
+    for _ in range(4):
+        for a, b in zip(ours, theirs, strict=True):
+            a.grad = torch.randn(a.shape, generator=generator)
+            b.grad = a.grad.clone()
+        stacked.step()
+        reference.step()
+    for a, b in zip(ours, theirs, strict=True):
+        moved = float((b - 1.0).norm())
+        assert moved > 0.1 and float((a - b).norm()) < 0.02 * moved, "bfloat16 iterations agree up to rounding"
+    buffers = [optimizer.state_dict()["state"] for optimizer in (stacked, reference)]
+    torch.testing.assert_close(*buffers)
+
+
+def test_a_state_goes_from_fused_steps_to_plain_ones_and_back():
+    named = parameters()
+    for value in named.values():
+        value.grad = torch.ones_like(value)
+    fused, plain = Optimizers(named, "muon", 1e-3, fused=True), Optimizers(named, "muon", 1e-3)
+    fused.step()
+    plain.load_state_dict(fused.state_dict())
+    assert not plain.members[0].param_groups[0]["fused"]
+    plain.step()
+    fused.load_state_dict(plain.state_dict())
+    assert fused.members[0].param_groups[0]["fused"]
+    fused.step()
+    assert {int(state["step"]) for state in fused.state_dict()[0]["state"].values()} == {3}

@@ -1,0 +1,43 @@
+"""The field with which a run begins: fresh, or another one's weights where they fit."""
+
+from __future__ import annotations
+
+import json
+
+from gazenerf.errors import UserError
+from gazenerf.field.config import FieldConfig
+from gazenerf.field.model import TwoStreamField
+
+_FREE = {
+    "trained_gaze_range",
+    "eyes_box",
+    "sampler",
+    "shell",
+    "shell_samples",
+    "samples",
+    "initialisation",
+    "background",
+}
+"""Settings that mean nothing to weights: where they are sampled, what they saw, what they began as."""
+
+
+def starting_field(config: FieldConfig, initial: TwoStreamField | None = None) -> TwoStreamField:
+    """A field of this configuration with fresh weights, or with those of `initial`.
+
+    Raises:
+        UserError: `initial` is another network, or one whose weights mean something else.
+    """
+    field = TwoStreamField(config)
+    if initial is None:
+        return field
+    ours, theirs = config.to_dict(), initial.config.to_dict()
+    differing = {name: theirs[name] for name in ours if name not in _FREE and ours[name] != theirs[name]}
+    if differing:
+        there = ", ".join(f"{name} {json.dumps(value)} where it needs {json.dumps(ours[name])}"
+                          for name, value in differing.items())  # fmt: skip
+        raise UserError(
+            f"the checkpoint of --from does not fit the preset: it has {there}; choose the --preset it was trained "
+            "with, or captures of its size"
+        )
+    field.load_state_dict(initial.state_dict())
+    return field

@@ -1,0 +1,84 @@
+"""The scripts behind the bundled field, and their whole chain at toy size."""
+
+from __future__ import annotations
+
+import json
+import os
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gazenerf.checkpoints import BUNDLED, load_field, weights_hash
+from gazenerf.data.rasterizer import Rasterizer
+from gazenerf.data.storage import CaptureSet, read_manifest, write_manifest, write_shard
+from gazenerf.errors import UserError
+
+SCRIPTS = Path(__file__).parent.parent.parent / "scripts"
+
+
+@pytest.fixture(scope="module")
+def join():
+    return runpy.run_path(str(SCRIPTS / "join_captures.py"))["join"]
+
+
+def write_set(folder: Path, captures, people: int, views: int, **about) -> Path:
+    folder.mkdir()
+    write_manifest(folder, {"people": people, "views": views, "seed": 1, "code_sizes": [4, 3, 5, 27], **about})
+    for person in range(people):
+        write_shard(folder, [c for c in captures if c.person == person and c.view < views])
+    return folder
+
+
+def test_more_views_take_the_place_of_few_and_held_out_people_are_left_out(toy_captures, tmp_path, join):
+    base = write_set(tmp_path / "base", toy_captures, people=2, views=2)
+    more = write_set(tmp_path / "more", toy_captures, people=1, views=8)
+    assert join(base, more, tmp_path / "all", set()) == 2
+    found = [(capture.person, capture.view) for capture in CaptureSet(tmp_path / "all")]
+    assert found == [*((0, view) for view in range(8)), (1, 0), (1, 1)]
+    assert read_manifest(tmp_path / "all")["more_views"] == {"people": 1, "views": 8}
+    assert join(base, more, tmp_path / "all", set()) == 2, "doing it again changes nothing"
+    join(base, more, tmp_path / "some", {0})
+    assert CaptureSet(tmp_path / "some").people == [1]
+    assert CaptureSet(base).people == [0, 1] and len(CaptureSet(base)) == 4, "the sets themselves stay"
+
+
+def test_sets_of_other_people_are_not_joined(toy_captures, tmp_path, join):
+    base = write_set(tmp_path / "base", toy_captures, people=1, views=2)
+    more = write_set(tmp_path / "more", toy_captures, people=1, views=2, supersampling=3)
+    with pytest.raises(UserError, match="differ in supersampling"):
+        join(base, more, tmp_path / "all", set())
+    with pytest.raises(UserError, match="no captures"):
+        join(base, tmp_path / "nowhere", tmp_path / "all", set())
+
+
+@pytest.mark.parametrize("words", [[], ["--dry-run"]])
+def test_the_chain_needs_a_folder(words: list[str]):
+    done = subprocess.run(["bash", SCRIPTS / "train_bundled.sh", *words], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1 and "folder" in done.stderr
+
+
+def test_the_dry_run_goes_from_captures_to_a_report(tmp_path):
+    try:
+        with Rasterizer((16, 16), 1):
+            pass
+    except UserError as error:
+        pytest.skip(f"captures need off-screen OpenGL: {error}")
+    assets = BUNDLED.parent.parent
+    before = {path: path.stat().st_mtime_ns for path in assets.rglob("*")}
+    bundled = weights_hash(BUNDLED)
+    environment = os.environ | {"PYTHON": sys.executable, "PYTHONPATH": str(SCRIPTS.parent), "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(
+        ["bash", SCRIPTS / "train_bundled.sh", tmp_path / "all", "--dry-run"],
+        capture_output=True, text=True, timeout=600, env=environment, cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-2000:]
+    field = load_field(tmp_path / "all" / "field.safetensors")
+    assert field.about["preset"] == "portrait" and field.about["shaped_to_minutes"] == 0.05 and field.about["steps"] > 1
+    report = json.loads((tmp_path / "all" / "quality.json").read_text())
+    assert report["unseen_people"] == [12, 13] and report["trained"]["captures"] == 12
+    assert len(list((tmp_path / "all" / "subjects").glob("*.safetensors"))) == 8
+    assert [path.name for path in tmp_path.iterdir()] == ["all"], "nothing beside the folder"
+    assert {path: path.stat().st_mtime_ns for path in assets.rglob("*")} == before and weights_hash(BUNDLED) == bundled
