@@ -44,7 +44,7 @@ def test_nothing_but_our_own_name_is_installed(built):
     assert {top for top in tops if not top.endswith(".dist-info")} == {"gazenerf"}
     assert {"gazenerf/viz/__init__.py", "gazenerf/export/pipeline.py", "gazenerf/__main__.py"} <= built["wheel"]
     assert any(name.startswith("gazenerf/viz/report/templates/") for name in built["wheel"])
-    assert "gazenerf/assets/field.safetensors" in built["wheel"]
+    assert "gazenerf/assets/fields/portrait.safetensors" in built["wheel"]
 
 
 def test_pages_and_examples_travel_with_the_source(built):
