@@ -68,10 +68,10 @@ def refine_grid(
     """Density at a given grid, exact at the corners of every cell that a surface of the levels crosses.
 
     Every `factor`-th point is queried, except those that `certainly_empty` names, whose density counts as 0, and
-    every point between two of them that lie on different sides of the levels. From the crossings found there, cells are followed: a crossed cell is queried
-    at its eight corners and leads on through its crossed faces. All other points repeat the last
-    known value before them along z; where that makes a cell look crossed, its coarse cell is queried
-    whole, and followed, until no such cell is left. Outside the grid the density is 0.
+    every point between two of them that lie on different sides of the levels. From the crossings found there,
+    cells are followed: a crossed cell is queried at its eight corners and leads on through its crossed faces. All
+    other points repeat the last known value before them along z; where that makes a cell look crossed, its coarse
+    cell is queried whole, and followed, until no such cell is left. Outside the grid the density is 0.
 
     So every crossed cell of the finished grid is exact at all corners, and what is found is whole: a
     surface goes on through a face whose corners are exact, into a cell that is crossed in the
