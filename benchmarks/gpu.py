@@ -180,9 +180,8 @@ def mesh(checkpoint: str | None, device: torch.device, resolution: int) -> dict[
 def training_step(device: torch.device, preset: str, steps: int) -> dict[str, Any]:
     """Seconds of the parts of a training step, without and with the perceptual term where its weights are there."""
     from benchmarks.train import measure_steps
-    from gazenerf.training.runtime import Runtime
-
     from gazenerf.training.config import PRESETS as TRAINING
+    from gazenerf.training.runtime import Runtime
 
     found = {"plain": measure_steps(preset, steps, False, Runtime(device.type))}
     if not TRAINING[preset].perceptual:

@@ -17,6 +17,7 @@ from gazenerf.export.options import MeshOptions
 from gazenerf.export.surface.densities import DensityGrid, grid_shape, sample_density
 from gazenerf.export.surface.density_surface import KEPT_COMPONENTS, Surface, density_surface, part_box
 from gazenerf.export.surface.fusion import fused_surface
+from gazenerf.export.surface.known_surface import with_known_surface
 from gazenerf.export.surface.normals import surface_normals
 from gazenerf.export.surface.threshold import Threshold
 from gazenerf.heads.interface import PARTS, BoundField, Part
@@ -85,6 +86,7 @@ def extract_part(
         repair=options.repair,
     )
     resolution, volume = options.resolution, bool(options.volumes)
+    bound = with_known_surface(bound, part)
     grid_shape(bound.box, resolution)
     if options.surface == "isosurface":
         found = density_surface(

@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import KDTree
 
-from gazenerf.export.mesh.rays import cast_rays
+from gazenerf.export.mesh.rays import RayCaster
 from gazenerf.geometry import Camera
 from gazenerf.heads.interface import BoundField, Part
 
@@ -77,10 +77,11 @@ def blend_colours(
         (N, 3) uint8 sRGB, and (N,) bool, whether some view sees the point.
     """
     total, weight = np.zeros((len(points), 3), np.float32), np.zeros(len(points), np.float32)
+    cast = RayCaster(mesh)
     for start in range(0, len(points), CHUNK):
         chunk = slice(start, start + CHUNK)
         for picture in pictures:
-            _add_view(picture, mesh, points[chunk], normals[chunk], total[chunk], weight[chunk])
+            _add_view(picture, cast, points[chunk], normals[chunk], total[chunk], weight[chunk])
     seen = weight > 1e-6
     if seen.any():
         total[seen] /= weight[seen, None]
@@ -95,25 +96,27 @@ def blend_colours(
 
 def _add_view(
     picture: PartPicture,
-    mesh: trimesh.Trimesh,
+    cast: RayCaster,
     points: np.ndarray,
     normals: np.ndarray,
     total: np.ndarray,
     weight: np.ndarray,
 ) -> None:
-    """Add what one picture shows of points to their weighted sums, in place."""
+    """Add what one picture shows of points to their weighted sums, in place. Rays are cast last: they cost most."""
     camera = picture.camera
-    offset = points - camera.position
-    distance = np.linalg.norm(offset, axis=1)
-    direction = offset / distance[:, None]
-    facing = -(direction * normals).sum(axis=1)
+    offset = points - camera.position.astype(points.dtype)
+    distance = np.sqrt(np.einsum("nc,nc->n", offset, offset))
+    facing = -np.einsum("nc,nc->n", offset, normals) / distance
     near = np.flatnonzero(facing > 0.15)
-    hit = cast_rays(mesh, np.broadcast_to(camera.position, (len(near), 3)), direction[near])
-    near = near[np.abs(hit - distance[near]) < 0.02]
     pixels, _ = camera.project(points[near])
     near, pixels = _shown(picture, near, pixels, distance)
     at_x, at_y = np.ascontiguousarray((pixels - 0.5).astype(np.float32).T)
     solid = np.clip(2.0 * sample(picture.opacity, at_x, at_y) - 1.0, 0.0, 1.0)
+    there = solid > 0.0
+    near, at_x, at_y, solid = near[there], at_x[there], at_y[there], solid[there]
+    hit = cast(np.broadcast_to(camera.position, (len(near), 3)), offset[near] / distance[near, None])
+    free = np.abs(hit - distance[near]) < 0.02
+    near, at_x, at_y, solid = near[free], at_x[free], at_y[free], solid[free]
     share = facing[near] ** 3 * solid
     total[near] += (share[:, None] * sample(picture.image, at_x, at_y)).astype(np.float32)
     weight[near] += share.astype(np.float32)

@@ -13,7 +13,8 @@ from gazenerf.export.appearance.colours import sample
 from gazenerf.export.appearance.texture import TexturedMesh, dilate
 from gazenerf.export.mesh.sphere_fit import Eyeball
 from gazenerf.geometry import Camera, Gaze
-from gazenerf.heads.interface import HeadField
+from gazenerf.heads.interface import BoundField, HeadField
+from gazenerf.image_metrics import bounding_crop
 
 TEXTURE_GAZES = (
     (0.0, 0.0), (0.0, 15.0), (0.0, -15.0), (0.0, 28.0), (0.0, -28.0), (12.0, 0.0), (-12.0, 0.0), (12.0, 20.0),
@@ -111,7 +112,7 @@ def eyeball_colours(
         gaze = Gaze.from_degrees(pitch, yaw)
         bound = head.at(gaze)
         image = bound.render(camera).image.astype(np.float32)
-        depth = bound.render_geometry(coarse).depth
+        depth = depth_before(bound, coarse, ball)
         shown = (np.abs(np.nan_to_num(depth, nan=np.inf) - ball) < 0.1 * eye.radius).astype(np.uint8)
         shown = cv2.resize(shown, (camera.width, camera.height), interpolation=cv2.INTER_NEAREST)
         clear = cv2.distanceTransform(shown, cv2.DIST_L2, 3)
@@ -149,6 +150,24 @@ def _close_camera(eye: Eyeball) -> Camera:
     half = 4 * int(np.ceil((eye.radius * camera.fx / np.linalg.norm(eye.centre - camera.position) + MARGIN) / 4))
     left, top = 4 * round((float(column) - half) / 4), 4 * round((float(row) - half) / 4)
     return camera.cropped(left, top, 2 * half, 2 * half)
+
+
+def depth_before(bound: BoundField, camera: Camera, ball: np.ndarray) -> np.ndarray:
+    """(H, W) expected depth of the head, NaN where there is none, in the smallest window around a ball.
+
+    Args:
+        bound: The head at a gaze.
+        camera: (H, W) pixels.
+        ball: (H, W) distance to the ball, NaN where rays miss it; outside its window nothing is rendered, and the
+            depth is NaN.
+    """
+    depth = np.full(ball.shape, np.nan, np.float32)
+    crop = bounding_crop(np.isfinite(ball), margin=0)
+    if crop is not None:
+        rows, columns = crop
+        window = camera.cropped(columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start)
+        depth[crop] = bound.render_geometry(window).depth
+    return depth
 
 
 def _first_hit(rays_o: np.ndarray, rays_d: np.ndarray, eye: Eyeball) -> np.ndarray:

@@ -25,6 +25,10 @@ PADDING = 4
 CHART_COST = 8.0
 """How far xatlas may bend a chart; its own 2 cuts marching-cubes surfaces into more charts, for longer."""
 
+BLOCK = 1_000
+"""Faces, at most, that xatlas cuts into charts together: its time goes with more than the number of faces, and it works
+on several blocks at once. A block's border is a seam like any other."""
+
 CANDIDATES = 2**22
 """Texels that are tested against triangles at once."""
 
@@ -101,8 +105,13 @@ def bake_texture(mesh: trimesh.Trimesh, pictures: list[PartPicture], size: int) 
     return TexturedMesh(unwrapped, uv, dilate(image, inside), charts, float(inside.mean()), float(seen.mean()))
 
 
-def unwrap(mesh: trimesh.Trimesh, size: int) -> tuple[trimesh.Trimesh, np.ndarray, int]:
+def unwrap(mesh: trimesh.Trimesh, size: int, block: int = BLOCK) -> tuple[trimesh.Trimesh, np.ndarray, int]:
     """A mesh cut into charts: the mesh with doubled vertices, its (V, 2) float32 uv, v down, and how many charts.
+
+    Args:
+        mesh: With vertex normals.
+        size: Texels along a side.
+        block: Faces, about, of the blocks that are cut into charts apart from each other; see `BLOCK`.
 
     Raises:
         UserError: xatlas finds no chart.
@@ -111,7 +120,10 @@ def unwrap(mesh: trimesh.Trimesh, size: int) -> tuple[trimesh.Trimesh, np.ndarra
 
     atlas = xatlas.Atlas()
     vertices, normals = np.asarray(mesh.vertices, np.float32), np.asarray(mesh.vertex_normals, np.float32)
-    atlas.add_mesh(vertices, np.asarray(mesh.faces, np.uint32), normals)
+    blocks = face_blocks(mesh, block)
+    used = [np.unique(np.asarray(mesh.faces)[own], return_inverse=True) for own in blocks]
+    for index, numbered in used:
+        atlas.add_mesh(vertices[index], numbered.reshape(-1, 3).astype(np.uint32), normals[index])
     charting = xatlas.ChartOptions()
     charting.max_cost = CHART_COST
     packing = xatlas.PackOptions()
@@ -119,14 +131,36 @@ def unwrap(mesh: trimesh.Trimesh, size: int) -> tuple[trimesh.Trimesh, np.ndarra
     atlas.generate(charting, packing)
     if atlas.atlas_count != 1 or atlas.chart_count == 0:
         raise UserError(f"the surface cannot be unwrapped into one texture of {size}; give a larger --texture")
-    source, faces, uv = atlas[0]
+    source, uv, faces, first = [], [], np.empty((len(mesh.faces), 3), np.int64), 0
+    for i, own in enumerate(blocks):
+        places, triangles, coordinates = atlas[i]
+        source.append(used[i][0][places])
+        uv.append(coordinates)
+        faces[own] = triangles.astype(np.int64) + first
+        first += len(places)
+    chosen = np.concatenate(source)
     cut = trimesh.Trimesh(
-        np.asarray(mesh.vertices)[source],
-        faces.astype(np.int64),
-        vertex_normals=np.asarray(mesh.vertex_normals)[source],
+        np.asarray(mesh.vertices)[chosen],
+        faces,
+        vertex_normals=np.asarray(mesh.vertex_normals)[chosen],
         process=False,
     )
-    return cut, np.clip(uv, 0.0, 1.0).astype(np.float32), int(atlas.chart_count)
+    return cut, np.clip(np.concatenate(uv), 0.0, 1.0).astype(np.float32), int(atlas.chart_count)
+
+
+def face_blocks(mesh: trimesh.Trimesh, most: int) -> list[np.ndarray]:
+    """Numbers of the faces of each block: halved across the longest side until none holds more than `most` faces."""
+    centres = np.asarray(mesh.triangles_center)
+    waiting, blocks = [np.arange(len(centres))], []
+    while waiting:
+        own = waiting.pop()
+        if len(own) <= most:
+            blocks.append(own)
+            continue
+        axis = int(np.argmax(np.ptp(centres[own], axis=0)))
+        order = np.argsort(centres[own, axis], kind="stable")
+        waiting += [np.sort(own[order[: len(own) // 2]]), np.sort(own[order[len(own) // 2 :]])]
+    return blocks
 
 
 def texels(uv: np.ndarray, faces: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -10,13 +10,29 @@ import trimesh
 from gazenerf.export.mesh.triangles import to_pyvista
 
 
+class RayCaster:
+    """Casts rays at one mesh, prepared once. By VTK without open3d.
+
+    Args:
+        mesh: What rays meet.
+    """
+
+    def __init__(self, mesh: trimesh.Trimesh) -> None:
+        self._mesh, self._scene = mesh, ray_scene(mesh)
+
+    def __call__(self, rays_o: np.ndarray, rays_d: np.ndarray) -> np.ndarray:
+        """Distance (N,) to the first hit of rays (N, 3), NaN where there is none; world units."""
+        if self._scene is None:
+            return _cast_vtk(self._mesh, rays_o, rays_d)
+        rays = np.empty((len(rays_o), 6), np.float32)
+        rays[:, :3], rays[:, 3:] = rays_o, rays_d
+        hit = self._scene.cast_rays(rays)["t_hit"].numpy()
+        return np.where(np.isfinite(hit), hit.astype(np.float64), np.nan)
+
+
 def cast_rays(mesh: trimesh.Trimesh, rays_o: np.ndarray, rays_d: np.ndarray) -> np.ndarray:
-    """Distance (N,) to the first hit of rays (N, 3), NaN where there is none; world units. By VTK without open3d."""
-    scene = ray_scene(mesh)
-    if scene is None:
-        return _cast_vtk(mesh, rays_o, rays_d)
-    hit = scene.cast_rays(np.concatenate([rays_o, rays_d], axis=1).astype(np.float32))["t_hit"].numpy()
-    return np.where(np.isfinite(hit), hit.astype(np.float64), np.nan)
+    """Distance (N,) to the first hit of rays (N, 3), NaN where there is none; world units. See `RayCaster`."""
+    return RayCaster(mesh)(rays_o, rays_d)
 
 
 def nearest_distance(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:

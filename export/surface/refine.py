@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gazenerf.export.surface.densities import CHUNK, DensityGrid, grid_points, grid_shape, query
+from gazenerf.export.surface.known_surface import certainly_empty
 from gazenerf.heads.interface import BoundField, Part
 
 COARSE = 64
@@ -19,7 +20,11 @@ CELLS = 2**17
 SLAB = 2**21
 """Points that are filled in or checked at a time."""
 
-_QUERIED, _WANTED = np.uint8(1), np.uint8(2)
+Empty = Callable[[np.ndarray], np.ndarray]
+"""World points (N, 3) to (N,) bool: there is certainly no density at or above the levels."""
+
+_QUERIED, _WANTED, _EMPTY = np.uint8(1), np.uint8(2), np.uint8(4)
+_KNOWN = _QUERIED | _EMPTY
 _CORNERS = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(8, 3)
 
 
@@ -62,11 +67,11 @@ def refine_grid(
 ) -> DensityGrid:
     """Density at a given grid, exact at the corners of every cell that a surface of the levels crosses.
 
-    Every `factor`-th point is queried, and every point between two of them that lie on different
-    sides of the levels. From the crossings found there, cells are followed: a crossed cell is queried
-    at its eight corners and leads on through its crossed faces. All other points repeat the last
-    known value before them along z; where that makes a cell look crossed, its coarse cell is queried
-    whole, and followed, until no such cell is left. Outside the grid the density is 0.
+    Every `factor`-th point is queried, except those that `certainly_empty` names, whose density counts as 0, and
+    every point between two of them that lie on different sides of the levels. From the crossings found there,
+    cells are followed: a crossed cell is queried at its eight corners and leads on through its crossed faces. All
+    other points repeat the last known value before them along z; where that makes a cell look crossed, its coarse
+    cell is queried whole, and followed, until no such cell is left. Outside the grid the density is 0.
 
     So every crossed cell of the finished grid is exact at all corners, and what is found is whole: a
     surface goes on through a face whose corners are exact, into a cell that is crossed in the
@@ -84,7 +89,7 @@ def refine_grid(
         factor = max(2, round(max(shape) / COARSE))
     front = _Front(bound, part, np.asarray(origin, np.float64) - spacing, shape, spacing, levels, progress)
     ticks = [np.unique(np.concatenate([[0], np.arange(1, n, factor), [n, n + 1]])) for n in shape]
-    cells = front.sides_of_coarse(ticks)
+    cells = front.sides_of_coarse(ticks, certainly_empty(bound, part, levels[0]))
     while len(cells):
         front.follow(cells)
         front.fill()
@@ -137,10 +142,20 @@ class _Front:
         """Whether a level lies between two densities."""
         return (np.maximum(a, b) >= self.levels[0]) & (np.minimum(a, b) <= self.levels[1])
 
-    def sides_of_coarse(self, ticks: list[np.ndarray]) -> np.ndarray:
-        """Query coarse points and between those that differ; the cells around crossings found there."""
+    def sides_of_coarse(self, ticks: list[np.ndarray], empty: Empty | None) -> np.ndarray:
+        """Query coarse points that are not known to be empty and between those that differ.
+
+        Returns the cells around crossings found there. Points that are known to be empty count as known, with a density
+        of 0, until a surface comes so near that they are queried.
+        """
         coarse = _flat(np.meshgrid(*ticks, indexing="ij"), self._strides)
-        self.query_points(coarse.reshape(-1))
+        points = coarse.reshape(-1)
+        if empty is not None:
+            points = points[(self._marks[points] & _QUERIED) == 0]
+            nothing = empty(grid_points(points, self.shape, self.origin, self.spacing))
+            self._marks[points[nothing]] |= _EMPTY
+            points = points[~nothing]
+        self.query_points(points)
         values = self._flat[coarse]
         around = []
         for axis in range(3):
@@ -217,7 +232,7 @@ class _Front:
             values = self.values[planes]
             bits = (values >= self.levels[0]).view(np.uint8)
             bits |= (values <= self.levels[1]).view(np.uint8) << 1
-            bits |= (~self.state[planes] & _QUERIED) << 2
+            bits |= ((self.state[planes] & _KNOWN) == 0).view(np.uint8) << 2
             for axis in (2, 1, 0):
                 bits = bits[_along(axis, slice(None, -1))] | bits[_along(axis, slice(1, None))]
             place = np.argwhere(bits == 7)
@@ -242,7 +257,7 @@ class _Front:
 
 def _fill_along_last(values: np.ndarray, state: np.ndarray) -> None:
     """Repeat values along the last axis where they were not queried, in place; the first was."""
-    known = (state & _QUERIED) != 0
+    known = (state & _KNOWN) != 0
     last = np.where(known, np.arange(values.shape[-1], dtype=np.int32), np.int32(0))
     np.maximum.accumulate(last, axis=-1, out=last)
     values[...] = np.take_along_axis(values, last, axis=-1)

@@ -30,6 +30,10 @@ MIN_CONTRAST = 0.35
 MIN_SHOWN = 0.35
 """Share of the fitted disc that must lie inside the opening."""
 
+WINDOW_MARGIN = 4
+"""Steps around the openings in `openings_window`: what the neural renderer's blurs bring in from beside comes from less
+than two feature pixels away."""
+
 REACH = np.deg2rad(50.0)
 """The search covers this angle around +Z of the head."""
 
@@ -75,6 +79,29 @@ def opening_mask(mesh: HeadMesh, eye: str, camera: Camera) -> np.ndarray:
         outline = cv2.convexHull(np.round((pixels - 0.5) * 16.0).astype(np.int32))
         cv2.fillConvexPoly(mask, outline, 1, lineType=cv2.LINE_8, shift=4)
     return mask.astype(bool)
+
+
+def openings_window(mesh: HeadMesh, camera: Camera, step: int = 1) -> Camera:
+    """The camera of the window around both eye openings, `WINDOW_MARGIN` steps wider on every side.
+
+    The iris is read inside the openings only, so a picture of the window tells as much as the whole one.
+
+    Args:
+        mesh: Tells where the openings are.
+        camera: Of the whole picture.
+        step: Pixels; the window begins and ends at multiples of it, such as the pixels of a feature pixel.
+
+    Returns:
+        The whole camera where an opening lies behind it, or none in the picture.
+    """
+    marks = np.stack([mesh.landmarks[str(i)] for indices in OPENINGS.values() for i in indices])
+    pixels, z = camera.project(marks.astype(np.float64))
+    low = step * np.maximum(np.floor(pixels.min(axis=0) / step).astype(int) - WINDOW_MARGIN, 0)
+    high = step * (np.ceil(pixels.max(axis=0) / step).astype(int) + WINDOW_MARGIN)
+    high = np.minimum(high, [camera.width, camera.height])
+    if not (z > 0).all() or (high - low < 2 * step).any():
+        return camera
+    return camera.cropped(int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1]))
 
 
 def fit_iris(image: np.ndarray, mask: np.ndarray, camera: Camera, centre: np.ndarray, radius: float) -> IrisFit | None:

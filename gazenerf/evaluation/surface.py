@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial import KDTree
 
+from gazenerf.geometry import Camera
 from gazenerf.head_model.interface import HeadMesh
 from gazenerf.heads.interface import GeometryView
 
@@ -24,6 +27,21 @@ def halved_depth(depth: np.ndarray, max_step: float = 0.05) -> np.ndarray:
     low, high = blocks.min(-1), blocks.max(-1)
     good &= np.nan_to_num(high - low, nan=np.inf) <= max_step
     return np.where(good, blocks.mean(-1), np.nan)
+
+
+def every_nth(camera: Camera, step: int) -> Camera:
+    """The camera whose pixel (i, j) has the ray of pixel (step * i, step * j) of another."""
+    if step == 1:
+        return camera
+    return replace(
+        camera,
+        fx=camera.fx / step,
+        fy=camera.fy / step,
+        cx=(camera.cx - 0.5) / step + 0.5,
+        cy=(camera.cy - 0.5) / step + 0.5,
+        width=-(-camera.width // step),
+        height=-(-camera.height // step),
+    )
 
 
 def depth_errors(geometry: GeometryView, depth: np.ndarray) -> np.ndarray:

@@ -6,10 +6,23 @@ import cv2
 import numpy as np
 import pytest
 
-from gazenerf.evaluation.iris import fit_iris, iris_cameras, iris_gaze, measure_gaze, opening_mask, triangulate
+from gazenerf.checkpoints import bundled_fields, load_field
+from gazenerf.evaluation.iris import (
+    OPENINGS,
+    fit_iris,
+    iris_cameras,
+    iris_gaze,
+    measure_gaze,
+    opening_mask,
+    openings_window,
+    triangulate,
+)
 from gazenerf.geometry import Camera, Gaze
+from gazenerf.head_model import load_head_model
 from gazenerf.head_model.eyes import IRIS_ANGLE, PUPIL_ANGLE
 from gazenerf.head_model.interface import HeadMesh
+from gazenerf.heads import Head
+from gazenerf.subjects import load_subject
 
 RADIUS = 0.12
 CENTRES = np.array([[0.32, 0.1, 0.7], [-0.32, 0.1, 0.7]])
@@ -51,6 +64,37 @@ def test_the_gaze_of_drawn_eyes_is_read_to_a_degree(degrees):
     for reading in found.values():
         assert np.rad2deg(reading.gaze.angle_to(gaze)) < 1.0
         assert reading.residual_px < 0.3 and reading.views >= 3
+
+
+@pytest.mark.parametrize("size", [256, 512])
+def test_the_window_holds_both_openings(size):
+    mesh = _mesh()
+    for camera in iris_cameras(size):
+        window = openings_window(mesh, camera, 4)
+        left, top = round(camera.cx - window.cx), round(camera.cy - window.cy)
+        assert left % 4 == top % 4 == window.width % 4 == window.height % 4 == 0
+        assert 0 < window.width * window.height < 0.2 * size**2
+        for eye in OPENINGS:
+            whole = opening_mask(mesh, eye, camera)
+            cut = whole[top : top + window.height, left : left + window.width]
+            assert np.array_equal(opening_mask(mesh, eye, window), cut) and cut.sum() == whole.sum() > 100
+    beyond = Camera.neutral(256).cropped(400, 400, 64, 64)
+    assert openings_window(mesh, beyond, 4) is beyond
+
+
+def test_windows_of_a_trained_fields_pictures_read_the_same_gaze():
+    subject, gaze = load_subject("ada"), Gaze.from_degrees(8.0, -15.0)
+    bound, mesh = (
+        Head(load_field(bundled_fields()["small"]), subject).at(gaze),
+        load_head_model().mesh(subject.codes, gaze),
+    )
+    cameras = iris_cameras(256)[1:4]
+    windows = [openings_window(mesh, camera, bound.field.config.upsampling) for camera in cameras]
+    fast, slow = (iris_gaze([(bound.render(c).image, c) for c in views], mesh) for views in (windows, cameras))
+    assert set(fast) == set(slow) == {"left", "right"}
+    for eye, reading in fast.items():
+        assert reading.views == slow[eye].views
+        assert np.rad2deg(reading.gaze.angle_to(slow[eye].gaze)) < 0.02
 
 
 def test_an_eye_without_an_iris_is_not_read():

@@ -10,8 +10,15 @@ import torch
 import trimesh
 
 from gazenerf.data.captures import Capture
-from gazenerf.evaluation.quality import UNITS, Instruments, evaluate_field
-from gazenerf.evaluation.surface import SurfaceDistance, depth_errors, halved_depth, silhouette_iou, surface_points
+from gazenerf.evaluation.quality import UNITS, Instruments, _geometry_row, evaluate_field
+from gazenerf.evaluation.surface import (
+    SurfaceDistance,
+    depth_errors,
+    every_nth,
+    halved_depth,
+    silhouette_iou,
+    surface_points,
+)
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model.interface import HeadMesh
 from gazenerf.heads.interface import GeometryView, RenderedView
@@ -94,6 +101,43 @@ def test_known_errors_come_out_as_they_are(ball_mesh, monkeypatch):
         assert values["gaze_capture_deg"] == pytest.approx(0.0, abs=1e-3)
         assert values["gaze_commanded_deg"] == pytest.approx(4.0, abs=0.05)
         assert values["gaze_difference_deg"] == pytest.approx(4.0, abs=0.05)
+
+
+class _Wavy(_Wrong):
+    """A ball whose depth is wrong by 0 to 0.04 world units, from place to place; counts its rays."""
+
+    rays = 0
+
+    def render_geometry(self, camera: Camera, part: str = "head", normals: bool = False) -> GeometryView:
+        self.rays += camera.width * camera.height
+        depth = _ball(camera)
+        places = camera.unproject(depth)
+        depth = depth - (0.02 + 0.02 * np.sin(23.0 * places[..., 0]) * np.cos(17.0 * places[..., 1])).astype(np.float32)
+        return GeometryView(camera, np.isfinite(depth).astype(np.float32), depth)
+
+
+def test_fewer_rays_measure_the_same(ball_mesh):
+    camera = Camera.orbit(0.2, size=512)
+    depth = _ball(camera)
+    parts = np.isfinite(depth).astype(np.uint8)
+    parts[200:232, 170:236] *= 2
+    capture = Capture(np.zeros((512, 512, 3), np.uint8), parts, np.nan_to_num(depth), camera, Gaze(), CODES, 0, 0)
+    head_model = SimpleNamespace(mesh=lambda codes, gaze: ball_mesh)
+    few, all_rays = _Wavy(), _Wavy()
+    fast = _geometry_row(few, capture, head_model)
+    slow = _geometry_row(all_rays, capture, head_model, most=10_000)
+    assert set(fast) == set(slow) and len(fast) == 6
+    assert few.rays < 0.3 * all_rays.rays and all_rays.rays == 256**2
+    assert fast.pop("depth_eyes_median_mm") == pytest.approx(slow.pop("depth_eyes_median_mm"), rel=1e-4)
+    assert fast.pop("silhouette_iou") == pytest.approx(slow.pop("silhouette_iou"), abs=0.003)
+    assert 0.5 < slow["depth_median_mm"] < 3.5 and fast == pytest.approx(slow, rel=0.02)
+
+
+@pytest.mark.parametrize("step", [1, 2, 3])
+def test_every_nth_ray_is_one_of_the_whole_cameras(step):
+    camera = Camera.orbit(0.4, 0.1, size=40).cropped(3, 5, 31, 22)
+    few, whole = every_nth(camera, step).rays()[1], camera.rays()[1]
+    np.testing.assert_allclose(few, whole[::step, ::step], atol=1e-12)
 
 
 def test_depth_is_halved_where_it_is_smooth():

@@ -11,11 +11,12 @@ import trimesh
 import gazenerf.export.appearance.colours
 from gazenerf.errors import UserError
 from gazenerf.export import MeshOptions, extract_part, mesh_subject
-from gazenerf.export.appearance.colours import blend_colours, part_pictures
-from gazenerf.export.appearance.texture import bake_texture, dilate, texels, unwrap
+from gazenerf.export.appearance.colours import blend_colours, part_pictures, sample
+from gazenerf.export.appearance.texture import bake_texture, dilate, face_blocks, texels, unwrap
 from gazenerf.export.appearance.textured_views import render_glb, texture_psnr
 from gazenerf.export.formats.files import textured_node
 from gazenerf.export.formats.gltf import glb
+from gazenerf.export.mesh.rays import cast_rays
 from gazenerf.geometry import Camera
 from gazenerf.heads.analytic import AnalyticField, AnalyticHead
 
@@ -56,6 +57,50 @@ def test_charts_do_not_overlap_and_keep_the_surface(face):
     assert doubled < 1e-3 * len(places)
     centre = np.einsum("nk,nkc->nc", weights, uv[np.asarray(cut.faces)[owner]]) * 1024
     assert np.abs(centre - np.stack([column + 0.5, row + 0.5], axis=1)).max() < 1e-2
+
+
+def test_unwrapping_in_blocks_keeps_every_face_as_unwrapping_at_once_does(face):
+    blocks = face_blocks(face, 500)
+    assert len(blocks) > 4 and max(map(len, blocks)) <= 500
+    assert np.array_equal(np.sort(np.concatenate(blocks)), np.arange(len(face.faces)))
+    covered = []
+    for block in (500, len(face.faces)):
+        cut, uv, _ = unwrap(face, 1024, block)
+        assert np.array_equal(cut.triangles, face.triangles)
+        assert np.array_equal(cut.vertex_normals[cut.faces], face.vertex_normals[face.faces])
+        places = np.ravel_multi_index(texels(uv, np.asarray(cut.faces), 1024)[:2], (1024, 1024))
+        assert len(places) - len(np.unique(places)) < 1e-3 * len(places)
+        covered.append(len(places))
+    assert covered[0] > 0.8 * covered[1]
+
+
+def slow_view(picture, mesh, points, normals):
+    """Sums of one view, (N, 3) and (N,): every point's ray is cast, as the definition says."""
+    offset = points - picture.camera.position
+    distance = np.linalg.norm(offset, axis=1)
+    facing = -(offset * normals).sum(axis=1) / distance
+    hit = cast_rays(mesh, np.broadcast_to(picture.camera.position, points.shape), offset / distance[:, None])
+    pixels = picture.camera.project(points)[0]
+    x, y = (pixels - 0.5).astype(np.float32).T
+    height, width = picture.depth.shape
+    column, row = (pixels * [width / picture.camera.width, height / picture.camera.height]).astype(int).T
+    inside = ((pixels >= 0) & (pixels < [picture.camera.width, picture.camera.height])).all(axis=1)
+    depth = picture.depth[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
+    agrees = np.isnan(depth) | (np.abs(depth - distance) < 0.15)
+    solid = np.clip(2.0 * sample(picture.opacity, x, y) - 1.0, 0.0, 1.0)
+    share = facing**3 * solid * ((facing > 0.15) & (np.abs(hit - distance) < 0.02) & inside & agrees)
+    return share[:, None] * sample(picture.image, x, y), share
+
+
+def test_casting_rays_last_changes_no_colour(bound, face):
+    pictures = part_pictures(bound, "face", ((0.0, 0.0), (60.0, 10.0), (-150.0, 5.0)))
+    points, normals = np.asarray(face.vertices), np.asarray(face.vertex_normals)
+    sums = [slow_view(picture, face, points, normals) for picture in pictures]
+    weight = sum(share for _, share in sums)
+    colours, seen = blend_colours(pictures, face, points, normals)
+    assert 0.3 < seen.mean() < 1.0 and np.array_equal(seen, weight > 1e-6)
+    expected = 255.0 * sum(total for total, _ in sums)[seen] / weight[seen, None]
+    assert np.abs(colours[seen] - expected).max() < 0.51
 
 
 def test_texels_of_a_known_triangle():

@@ -11,11 +11,17 @@ from scipy.spatial.transform import Rotation
 
 from gazenerf.errors import UserError
 from gazenerf.export import MeshOptions, extract_part, mesh_subject
-from gazenerf.export.appearance.eyeball_texture import directions_of, eyeball_mesh, textured_eyeball
+from gazenerf.export.appearance.eyeball_texture import (
+    _first_hit,
+    depth_before,
+    directions_of,
+    eyeball_mesh,
+    textured_eyeball,
+)
 from gazenerf.export.formats.gltf import Animation, Node, glb
 from gazenerf.export.mesh.sphere_fit import fit_eyeballs, fit_sphere
 from gazenerf.export.scenes.rig import SWEEP, quaternion, rig
-from gazenerf.geometry import Gaze
+from gazenerf.geometry import Camera, Gaze
 from gazenerf.heads.analytic import AnalyticField, AnalyticHead
 
 
@@ -91,6 +97,19 @@ def test_eyeball_has_its_iris_at_the_pole_whatever_gazes_coloured_it(parts, gaze
     assert colours[look > 0.95].mean() < 60 < 180 < colours[(look < 0.7) & (look > 0.3)].mean()
     assert colours[look < -0.5].mean() > 180
     assert 0.05 < ball.seen < 0.9
+
+
+def test_the_depth_before_an_eyeball_is_that_of_the_whole_picture(parts):
+    eye, bound = fit_eyeballs(parts["eyes"])[0], HEAD.at(Gaze.from_degrees(5.0, -10.0))
+    camera = Camera.neutral(96)
+    ball = _first_hit(*camera.rays(), eye)
+    depth, whole = depth_before(bound, camera, ball), bound.render_geometry(camera).depth
+    behind = np.isfinite(ball)
+    assert 20 < behind.sum() < 0.2 * behind.size and np.isfinite(whole[behind]).all()
+    assert np.allclose(depth[behind], whole[behind], atol=1e-5)
+    assert np.isnan(depth).mean() > 0.9
+    nowhere = depth_before(bound, camera, np.full_like(ball, np.nan))
+    assert np.isnan(nowhere).all()
 
 
 def test_rig_turns_each_eye_about_its_centre(parts, tmp_path):

@@ -13,7 +13,7 @@ from gazenerf.errors import UserError
 from gazenerf.export import MeshOptions, extract_part, mesh_subject
 from gazenerf.export.formats.gltf import glb
 from gazenerf.export.scenes.rig import quaternion, rig
-from gazenerf.export.scenes.sequence import FPS, face_morphs, sequence_scene
+from gazenerf.export.scenes.sequence import FPS, STEPS, face_crossings, face_morphs, sequence_scene
 from gazenerf.geometry import Gaze
 from gazenerf.heads.analytic import AnalyticField, AnalyticHead
 
@@ -49,6 +49,25 @@ def parts():
 @pytest.fixture(scope="module")
 def scene(parts):
     return rig(HEAD, Gaze(), parts["face"].mesh, parts["eyes"].mesh)
+
+
+def test_looking_near_first_finds_what_looking_everywhere_finds(parts):
+    face, asked = parts["face"].mesh, []
+
+    class Counted(Lids):
+        def density(self, points, part="head"):
+            asked.append(len(points))
+            return super().density(points, part)
+
+    bound = Counted(Gaze.from_degrees(5.0, 0.0))
+    points, normals = np.asarray(face.vertices), np.asarray(face.vertex_normals)
+    points = points + np.linspace(-0.06, 0.06, len(points))[:, None] * normals
+    fast = face_crossings(bound, points, normals, LEVEL)
+    few = sum(asked)
+    slow = face_crossings(bound, points, normals, LEVEL, (STEPS // 2,))
+    assert few < 0.8 * (sum(asked) - few) and sum(asked) - few == STEPS * len(points)
+    assert 0.01 < np.isnan(slow).mean() < 0.7
+    np.testing.assert_allclose(fast, slow, atol=1e-6)
 
 
 @pytest.fixture(scope="module")
