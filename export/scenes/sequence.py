@@ -10,7 +10,7 @@ import torch
 import trimesh
 from scipy import sparse
 
-from gazenerf.devices import CPU_CHUNK as CHUNK
+from gazenerf.devices import points_at_once
 from gazenerf.errors import UserError
 from gazenerf.export.formats.gltf import Morph
 from gazenerf.export.mesh.sphere_fit import Eyeball
@@ -81,7 +81,7 @@ def face_crossings(
     left, known = np.arange(len(points)), -1
     for ring in rings:
         fresh = np.flatnonzero((away > known) & (away <= ring))
-        rows = max(1, CHUNK // len(fresh))
+        rows = max(1, points_at_once(bound.device) // len(fresh))
         for start in range(0, len(left), rows):
             some = left[start : start + rows]
             places = points[some, None] + steps[fresh, None] * normals[some, None]

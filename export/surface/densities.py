@@ -10,11 +10,11 @@ import numpy as np
 import torch
 from scipy import ndimage
 
+from gazenerf.devices import points_at_once
 from gazenerf.errors import UserError
 from gazenerf.heads.interface import BoundField, Part
 
 MAX_RESOLUTION = 1024
-CHUNK = 2**13
 MEMORY_SHARE = 0.5
 BYTES_PER_POINT = 16
 """Peak bytes per grid point where the head fills the box: 11.6 measured coarse to fine, 15.5 with every point kept."""
@@ -95,8 +95,9 @@ def sample_density(
     values = np.empty(shape, dtype=np.float32)
     total = values.size
     flat = values.reshape(-1)
-    for start in range(0, total, CHUNK):
-        index = np.arange(start, min(start + CHUNK, total))
+    chunk = points_at_once(bound.device)
+    for start in range(0, total, chunk):
+        index = np.arange(start, min(start + chunk, total))
         flat[index] = query(bound, grid_points(index, shape, origin, spacing), part)
         if progress is not None:
             progress(int(index[-1]) + 1, total)

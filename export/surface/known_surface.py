@@ -88,7 +88,7 @@ class _KnownSurface(BoundHead):
         lattice = self.lattice if streams == self._streams else None
         if lattice is None:
             return super().surface(rays_o, rays_d, streams, window)
-        distance, hit = lattice.first_surface(rays_o, rays_d)
+        distance, hit = lattice.first_surface(rays_o, rays_d, None if window is None else window[0])
         places = rays_o + distance.nan_to_num()[:, None] * rays_d
         rays = (hit & self.head.occupancy(("eyes",)).at(places)).nonzero()[:, 0]
         if len(rays):

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gazenerf.export.surface.densities import CHUNK, DensityGrid, grid_points, grid_shape, query
+from gazenerf.devices import points_at_once
+from gazenerf.export.surface.densities import DensityGrid, grid_points, grid_shape, query
 from gazenerf.export.surface.known_surface import certainly_empty
 from gazenerf.heads.interface import BoundField, Part
 
@@ -125,6 +126,7 @@ class _Front:
         self._strides = np.array([ny * nz, nz, 1])
         self._corners = _CORNERS @ self._strides
         self._done = 0
+        self._at_once = points_at_once(self.bound.device)
 
     def query_points(self, points: np.ndarray) -> None:
         """Query the field at points (n,) not yet queried, each once."""
@@ -132,8 +134,7 @@ class _Front:
         if not len(points):
             return
         points = np.unique(points)
-        for start in range(0, len(points), CHUNK):
-            chunk = points[start : start + CHUNK]
+        for chunk in np.split(points, range(self._at_once, len(points), self._at_once)):
             self._flat[chunk] = query(self.bound, grid_points(chunk, self.shape, self.origin, self.spacing), self.part)
         self._marks[points] |= _QUERIED
         self.queries += len(points)

@@ -96,7 +96,7 @@ def evaluate_field(
     *,
     unseen_people: Collection[int] = (),
     iris_gazes: Sequence[tuple[float, float]] = IRIS_GAZES,
-    bfloat16: bool = False,
+    precision: str = "auto",
     progress: Progress = silent,
 ) -> dict[str, Any]:
     """Measure a field on captures that it was not trained on.
@@ -111,7 +111,7 @@ def evaluate_field(
         instruments: See `Instruments`.
         unseen_people: People of whom the field saw no capture.
         iris_gazes: Pitch and yaw, degrees; each is rendered from five cameras for each person.
-        bfloat16: Query the field in bfloat16.
+        precision: Of matrix products; see `gazenerf.devices.PRECISIONS`.
         progress: Told about captures and iris readings.
 
     Returns:
@@ -122,13 +122,13 @@ def evaluate_field(
     people = sorted({capture.person for capture in captures})
     done, total = 0, len(captures) + len(people) * len(iris_gazes)
     for capture in captures:
-        tally.add(capture.person, evaluate_capture(model, capture, head_model, instruments, bfloat16))
+        tally.add(capture.person, evaluate_capture(model, capture, head_model, instruments, precision))
         done += 1
         progress(f"measuring, person {capture.person} view {capture.view}", done, total)
     for person in people:
         codes = next(capture.codes for capture in captures if capture.person == person)
         still = Codes(codes.identity, np.zeros_like(codes.expression), codes.texture, codes.illumination)
-        head = Head(model, Subject("iris", still, still), precision="bfloat16" if bfloat16 else "auto")
+        head = Head(model, Subject("iris", still, still), precision=precision)
         for pitch, yaw in iris_gazes:
             for row in _iris_rows(head, Gaze.from_degrees(pitch, yaw), head_model, instruments):
                 tally.add(person, row)
@@ -144,11 +144,11 @@ def evaluate_field(
 
 
 def evaluate_capture(
-    model: TwoStreamField, capture: Capture, head_model: HeadModel, instruments: Instruments, bfloat16: bool = False
+    model: TwoStreamField, capture: Capture, head_model: HeadModel, instruments: Instruments, precision: str = "auto"
 ) -> dict[str, float]:
     """The measurements of one capture, by `UNITS`; those that do not apply are left out."""
     subject = Subject(f"person-{capture.person}", capture.codes, capture.codes)
-    bound = Head(model, subject, precision="bfloat16" if bfloat16 else "auto").at(capture.gaze)
+    bound = Head(model, subject, precision=precision).at(capture.gaze)
     image = bound.render(capture.camera).image
     target = capture.image.astype(np.float32) / 255.0
     head = capture.head_mask

@@ -16,6 +16,7 @@ from gazenerf.checkpoints import load_field
 from gazenerf.data import CaptureSet
 from gazenerf.data.captures import Capture
 from gazenerf.data.rasterizer import Rasterizer
+from gazenerf.devices import choose_device, product_dtype
 from gazenerf.errors import UserError
 from gazenerf.evaluation.quality import IRIS_GAZES, UNITS, Instruments, evaluate_field
 from gazenerf.files import whole_file
@@ -40,21 +41,30 @@ class EvaluateOptions:
     Attributes:
         data: Folder of captures.
         out: JSON report.
-        checkpoint: Field to measure; the bundled one by default.
+        checkpoint: Field to measure, a bundled name or a file; `portrait` by default.
         held_out, held_out_views: As given to training.
         limit: At most so many captures of each person, evenly spread.
         gaze_estimator: Reads gazes off pictures; the bundled one by default.
         iris: Measure gaze by iris triangulation.
+        device: Where the field is computed; everything else is measured on the CPU.
+        precision: Of the field's matrix products.
     """
 
     data: Path = option(help="captures from `gazenerf synthesize`", metavar="DIR")
     out: Path = option(help="JSON report", metavar="FILE")
-    checkpoint: Path | None = option(None, "field to measure (default: bundled)", metavar="FILE")
+    checkpoint: Path | None = option(
+        None, "portrait or small, which are bundled, or a file (default: portrait)", metavar="FIELD"
+    )
     held_out: int = option(1, "as given to `gazenerf train`", metavar="N")
     held_out_views: float = option(0.05, "as given to train", metavar="SHARE")
     limit: int | None = option(None, "at most N captures of each person, evenly spread", metavar="N")
     gaze_estimator: Path | None = option(None, "default: bundled", metavar="FILE")
     iris: bool = option(True, "skip gaze by iris triangulation", flag="--no-iris")
+    device: str = option("auto", "where the field is computed: cpu, cuda, or auto (default: auto)", metavar="DEVICE")
+    precision: str = option(
+        "auto", "of its matrix products: float32, float16, bfloat16, or auto for float16 on a GPU, bfloat16 on a CPU "
+        "with matrix tiles and float32 elsewhere (default: auto)", metavar="TYPE",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -82,11 +92,15 @@ def evaluate(options: EvaluateOptions, progress: Progress = silent) -> Evaluatio
         progress: Told about captures and iris readings.
 
     Raises:
-        UserError: nothing is held out, captures of other code sizes, or files that cannot be read.
+        UserError: nothing is held out, captures of other code sizes, files that cannot be read, or no such device
+            or precision.
     """
     if options.limit is not None and options.limit < 1:
         raise UserError(f"--limit must be at least 1, got {options.limit}")
-    model, captures = load_field(options.checkpoint), CaptureSet(options.data)
+    device = choose_device(options.device)
+    precision = "bfloat16" if options.precision == "auto" and _has_tiles(device) else options.precision
+    product_dtype(precision, device)
+    model, captures = load_field(options.checkpoint).to(device), CaptureSet(options.data)
     people = captures.people
     unseen = set(people[len(people) - options.held_out :]) if options.held_out > 0 else set()
     chosen = held_out_captures(captures, options)
@@ -101,7 +115,7 @@ def evaluate(options: EvaluateOptions, progress: Progress = silent) -> Evaluatio
             _instruments(options, model.config.image_size, left_out, stack),
             unseen_people=unseen,
             iris_gazes=IRIS_GAZES if options.iris else (),
-            bfloat16=fast_bfloat16(torch.device("cpu")),
+            precision=precision,
             progress=progress,
         )
     about = {
@@ -116,6 +130,10 @@ def evaluate(options: EvaluateOptions, progress: Progress = silent) -> Evaluatio
         temporary.write_text(json.dumps({**about, **report}, indent=2) + "\n")
     groups = {name: report[name] for name in ("all", "trained", "unseen")}
     return Evaluation(options.out, groups, report["people"], left_out)
+
+
+def _has_tiles(device: torch.device) -> bool:
+    return device.type == "cpu" and fast_bfloat16(device)
 
 
 def held_out_captures(captures: CaptureSet, options: EvaluateOptions) -> list[Capture]:
