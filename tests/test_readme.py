@@ -25,7 +25,7 @@ def test_the_example_runs(tmp_path):
     (code,) = EXAMPLE
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
     subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True, timeout=300, env=environment)
-    assert Image.open(tmp_path / "head.png").size == (256, 256)
+    assert Image.open(tmp_path / "head.png").size == (512, 512)
     eyes = trimesh.load(tmp_path / "meshes" / "eyes.glb", force="mesh")
     width = eyes.bounds[1] - eyes.bounds[0]
     assert 0.05 < width[0] < 0.13 and width[1] < 0.04, "two eyeballs, in metres"

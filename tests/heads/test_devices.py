@@ -159,6 +159,8 @@ def test_half_precision_is_close_on_the_bundled_field(bundled: Path) -> None:
     exact, half = (view.render(camera, ("head", "eyes")) for view in views)
     for part in ("head", "eyes"):
         assert psnr(half.images[part], exact.images[part]) > 45.0
+    baked = bake(views[1].head, Gaze()).at(GAZE).render(camera).image
+    assert psnr(baked, exact.image) > 35.0
     a, b = (view.render_geometry(camera).depth for view in views)
     both = np.isfinite(a) & np.isfinite(b)
     assert both.sum() > 2000 and np.median(np.abs(a - b)[both]) < 1e-3  # 0.1 mm
