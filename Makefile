@@ -29,10 +29,10 @@ dry-run: .venv/.dev .venv/.libraries
 
 # the pictures of README.md, made by the commands
 pictures: setup
-	$(BIN)/gazenerf orbit --out docs/images/orbit.webp --gaze-path circle --frames 40 --fps 14 --overwrite
-	$(BIN)/gazenerf orbit --out docs/images/panels.webp --panels image face eyes depth normals --size 128 \
+	$(BIN)/gazenerf orbit --out docs/images/orbit.webp --size 384 --gaze-path circle --frames 40 --fps 14 --overwrite
+	$(BIN)/gazenerf orbit --out docs/images/panels.webp --panels image face eyes depth normals --size 192 \
 		--gaze-path sweep --frames 24 --fps 12 --overwrite
-	$(BIN)/gazenerf sheet --out docs/images/gaze-grid.png --kind gaze-grid --size 256 --overwrite
+	$(BIN)/gazenerf sheet --out docs/images/gaze-grid.png --kind gaze-grid --size 384 --overwrite
 	rm docs/images/*.webp.json
 	$(BIN)/python scripts/build_command_reference.py
 

@@ -11,7 +11,16 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from gazenerf.checkpoints import FORMAT, OFFSETS, import_official, load_field, save_field, weights_hash
+from gazenerf.checkpoints import (
+    BUNDLED,
+    FORMAT,
+    OFFSETS,
+    bundled_fields,
+    import_official,
+    load_field,
+    save_field,
+    weights_hash,
+)
 from gazenerf.cli.main import main
 from gazenerf.errors import UserError
 from gazenerf.field.config import PRESETS
@@ -206,3 +215,12 @@ def test_command_refuses_in_one_line(official: Path, tmp_path: Path, capsys: pyt
         assert main(["import-checkpoint", *words]) == 2
         assert capsys.readouterr().err.count("\n") == 1
     assert sorted(path.name for path in tmp_path.iterdir()) == ["cut.pth"]
+
+
+def test_bundled_fields_have_names() -> None:
+    assert list(bundled_fields()) == ["portrait", "small"]
+    sizes = {name: load_field(name).config.image_size for name in bundled_fields()}
+    assert sizes == {"portrait": 512, "small": 256}
+    assert load_field().weights_hash == weights_hash(BUNDLED) == load_field("portrait").weights_hash
+    with pytest.raises(UserError, match="no checkpoint at large; give --checkpoint portrait or small"):
+        load_field("large")

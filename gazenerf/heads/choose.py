@@ -21,8 +21,9 @@ SPEEDS = ("auto", "baked", "guided", "exact")
 LEAST_FRAMES = 16
 """Frames from which a bake and its check, about ten guided frames of time, pay."""
 
-LEAST_PSNR = 38.0
-"""Decibels by which a baked picture must agree with the guided one."""
+LEAST_PSNR = 36.0
+"""Decibels by which a baked picture must agree with the guided one. Outlines a fraction of a pixel apart leave the
+bundled heads 38.8 to 44.6 dB on the small frames that are compared."""
 
 SAMPLED, SAMPLED_SIDE = 3, 192
 """Frames rendered both ways before a baked orbit, and their longer side at most: fewer of the same rays, which agree

@@ -7,6 +7,7 @@ import warnings
 from types import SimpleNamespace
 
 import pytest
+import torch
 
 from gazenerf import __version__
 from gazenerf.cli import main as frame
@@ -161,3 +162,22 @@ def test_a_reader_that_goes_away_is_no_error():
     )
     os.close(write)
     assert done.returncode == 141 and done.stderr == ""
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
+@pytest.mark.parametrize("command", ["orbit --out x.mp4", "sheet --out x.png", "mesh --out x", "check --out x"])
+def test_a_gpu_that_is_not_there_is_one_line(command, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main([*command.split(), "--device", "cuda"]) == 2
+    error = capsys.readouterr().err
+    assert len(error.splitlines()) == 1 and "no CUDA device" in error and "--device cpu" in error
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("command", ["orbit", "sheet", "mesh", "export", "check", "demo", "evaluate", "train"])
+def test_every_command_that_computes_takes_a_device(command):
+    from gazenerf.cli.parser import flag_of
+    from gazenerf.options import options_of
+
+    taken = {flag_of(name, option) for name, option in options_of(load_command(command).Options).items()}
+    assert {"--device", "--precision"} <= taken

@@ -37,7 +37,6 @@ class SheetOptions(CameraOptions):
     """What a sheet shows; angles in degrees.
 
     Attributes:
-        size: Width and height of the picture that a tile shows or is cut from, pixels.
         kind: gaze-grid: pitch down, gaze yaw across, one camera; contact: gazes down, camera yaw across.
         pitches, yaws: Gaze pitches and yaws of the grid; spread over the trained range by default.
         gaze: (pitch, yaw) of the rows of the contact sheet.
@@ -46,7 +45,6 @@ class SheetOptions(CameraOptions):
         yaw, pitch: Of the camera.
     """
 
-    size: int = option(256, "width and height of the picture behind a tile (default: 256)", metavar="PX", group=CAMERA)
     kind: str = option(
         "gaze-grid",
         "gaze-grid: pitch down, gaze yaw across, one camera; contact: gazes down, camera yaw across",
