@@ -66,3 +66,10 @@ def product_dtype(precision: str, device: torch.device) -> torch.dtype:
 def points_at_once(device: torch.device) -> int:
     """Points to query at once."""
     return CPU_CHUNK if device.type == "cpu" else GPU_CHUNK
+
+
+def is_out_of_memory(error: BaseException) -> bool:
+    """Whether an error says that a GPU has no memory left, in the framework's words or a library's."""
+    if isinstance(error, torch.OutOfMemoryError):
+        return True
+    return isinstance(error, RuntimeError) and any(text in str(error) for text in ("out of memory", "ALLOC_FAILED"))

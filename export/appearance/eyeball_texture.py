@@ -164,9 +164,7 @@ def depth_before(bound: BoundField, camera: Camera, ball: np.ndarray) -> np.ndar
     depth = np.full(ball.shape, np.nan, np.float32)
     crop = bounding_crop(np.isfinite(ball), margin=0)
     if crop is not None:
-        rows, columns = crop
-        window = camera.cropped(columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start)
-        depth[crop] = bound.render_geometry(window).depth
+        depth[crop] = bound.render_geometry(camera.windowed(crop)).depth
     return depth
 
 

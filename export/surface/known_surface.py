@@ -8,20 +8,17 @@ is still the network's. Around the eyes, whose lids are finer than the lattice, 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import torch
 
 from gazenerf.heads.bound import BoundHead
 from gazenerf.heads.interface import BoundField, Part
-from gazenerf.heads.lattice import Band, DensityLattice
+from gazenerf.heads.lattice import DensityLattice
 
 OCCUPIED = 1.0
 """Levels from here on, density per world unit, lie in occupied cells, which hold all that exceeds half of it."""
-
-MOST_OF_THE_BOX = 0.5
-"""A band of more than this share of the lattice is no surface."""
 
 
 def with_known_surface(bound: BoundField, part: Part) -> BoundField:
@@ -34,8 +31,9 @@ def with_known_surface(bound: BoundField, part: Part) -> BoundField:
         bound: What is looked at.
         part: What it will be asked for; of other parts pictures are made as ever.
     """
-    plain = type(bound) is BoundHead and bound.head.sampler == "guided" and len(bound.field.streams) == 2
-    return _KnownSurface(bound, part) if plain and part != "eyes" else bound
+    if type(bound) is not BoundHead or part == "eyes":
+        return bound
+    return _KnownSurface(bound, part) if bound.head.sampler == "guided" and len(bound.field.streams) == 2 else bound
 
 
 def certainly_empty(bound: BoundField, part: Part, level: float) -> Callable[[np.ndarray], np.ndarray] | None:
@@ -71,11 +69,12 @@ class _KnownSurface(BoundHead):
     @cached_property
     def lattice(self) -> DensityLattice | None:
         """Density around the surface, None where the density is nearly everywhere."""
-        band = Band.of(self.head.occupancy(self._streams), self.head.occupancy(("eyes",)).cells)
-        if not self.head.sparse or len(band.vertices) > MOST_OF_THE_BOX * band.inside.numel():
-            return None
         with self.head.quickly():
-            return DensityLattice(band, self.density_of(self._streams, band.points))
+            band = self.head.surface_band(self._streams)
+            if band is None:
+                return None
+            found = self.head.in_chunks(partial(self.density_of, self._streams), band.points)
+            return DensityLattice(band, torch.cat(found))
 
     def surface(
         self,

@@ -22,7 +22,7 @@ from gazenerf.evaluation.surface import (
 from gazenerf.field.model import TwoStreamField
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model.interface import HeadModel
-from gazenerf.heads import BoundField, GeometryView, Head
+from gazenerf.heads import BoundField, Head
 from gazenerf.image_metrics import bounding_crop, eye_crops, psnr, ssim
 from gazenerf.progress import Progress, silent
 from gazenerf.subjects import Codes, Subject
@@ -190,7 +190,8 @@ def _geometry_row(
     if errors.size:
         row["depth_median_mm"] = float(np.median(errors))
         row["depth_p95_mm"] = float(np.percentile(errors, 95))
-    inside = _depth_errors_of_eyes(bound, camera, geometry if step == 1 else None, np.where(eyes, truth, np.nan))
+    of_eyes = np.where(eyes, truth, np.nan)
+    inside = depth_errors(geometry, of_eyes) if step == 1 else _depth_errors_in_window(bound, camera, of_eyes)
     if inside.size >= MIN_EYE_PIXELS // 4:
         row["depth_eyes_median_mm"] = float(np.median(inside) * millimetres)
     points = surface_points(geometry)
@@ -201,30 +202,24 @@ def _geometry_row(
     return row
 
 
-def _depth_errors_of_eyes(
-    bound: BoundField, camera: Camera, geometry: GeometryView | None, truth: np.ndarray
-) -> np.ndarray:
-    """`depth_errors` of truth (H, W) that is NaN but in the eyes; at most the window around them is rendered."""
-    if geometry is not None:
-        return depth_errors(geometry, truth)
+def _depth_errors_in_window(bound: BoundField, camera: Camera, truth: np.ndarray) -> np.ndarray:
+    """`depth_errors` of truth (H, W), of which only the window where it is not NaN is rendered."""
     crop = bounding_crop(np.isfinite(truth), margin=0)
     if crop is None:
         return np.zeros(0)
-    rows, columns = crop
-    window = camera.cropped(columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start)
-    return depth_errors(bound.render_geometry(window), truth[crop])
+    return depth_errors(bound.render_geometry(camera.windowed(crop)), truth[crop])
 
 
 def _iris_rows(head: Head, gaze: Gaze, head_model: HeadModel, instruments: Instruments) -> list[dict[str, float]]:
     codes = head.subject.codes
     mesh, bound = head_model.mesh(codes, gaze), head.at(gaze)
     config = head.field.config
-    cameras = [openings_window(mesh, camera, config.upsampling) for camera in iris_cameras(config.image_size)]
+    whole = iris_cameras(config.image_size)
+    cameras = [openings_window(mesh, camera, config.upsampling) for camera in whole]
     readings = iris_gaze([(bound.render(camera).image, camera) for camera in cameras], mesh)
     rows = [{"iris_found": float(eye in readings)} for eye in ("left", "right")]
     rows += [_reading_row(reading, gaze) for reading in readings.values()]
     if instruments.draw_reference is not None:
-        whole = iris_cameras(config.image_size)
         drawn = [(instruments.draw_reference(codes, gaze, camera), camera) for camera in whole]
         rows += [
             {"iris_reference_deg": float(np.rad2deg(reading.gaze.angle_to(gaze)))}

@@ -28,6 +28,29 @@ def blur(images: torch.Tensor, channels: int) -> torch.Tensor:
     return F.conv2d(padded, kernel, groups=channels)
 
 
+def sub_pixels_first(outputs: torch.Tensor) -> torch.Tensor:
+    """Weights or biases (4 C, ...) of `Upsample.widen_1` in the order s C + c of sub-pixel s and channel c.
+
+    Its own order is 4 c + s; in this one the pixel shuffle is a permutation of rows.
+    """
+    return outputs.unflatten(0, (-1, 4)).transpose(0, 1).flatten(0, 1)
+
+
+def narrowed_repeat(narrowing: torch.Tensor) -> torch.Tensor:
+    """(4 N, C): what `Upsample`'s repeated input adds at each sub-pixel after a narrowing layer (N, C).
+
+    Channel c of sub-pixel s is channel (4 c + s) mod C of the input, so one product of the input does what repeating
+    it would.
+    """
+    narrow, channels = narrowing.shape
+    index = torch.arange(channels, device=narrowing.device)
+    sub_pixel = torch.arange(4, device=narrowing.device)
+    source = (4 * index[None, :] + sub_pixel[:, None]) % channels
+    chosen = (source[:, :, None] == index).to(narrowing.dtype)
+    with torch.autocast(narrowing.device.type, enabled=False):
+        return (narrowing @ chosen).reshape(4 * narrow, channels)
+
+
 class Upsample(nn.Module):
     """Doubles a feature map by pixel shuffle, keeping its channels."""
 

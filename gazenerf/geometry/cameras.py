@@ -179,6 +179,11 @@ class Camera:
         """The camera of a window of the picture whose upper left pixel is (left, top)."""
         return replace(self, cx=self.cx - left, cy=self.cy - top, width=width, height=height)
 
+    def windowed(self, window: tuple[slice, slice]) -> Camera:
+        """The camera of some rows and columns of the picture."""
+        rows, columns = window
+        return self.cropped(columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start)
+
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """World points (..., 3) to image coordinates (..., 2) and camera z (...,), world units."""
         pose = self.camera_from_world

@@ -32,9 +32,6 @@ from gazenerf.heads.render import composite_near
 FAINT = 1e-3
 """Samples of less weight are left out; the others share theirs."""
 
-MOST_OF_THE_BOX = 0.5
-"""A band of more than this share of the lattice is no surface; baking it would not pay."""
-
 CORNERS = torch.tensor([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
 
 
@@ -140,8 +137,8 @@ def bake(head: Head, gaze: Gaze) -> BakedHead:
     bound = head.at(gaze)
     with head.quickly():
         eyes = head.grids["eyes"].grown(1)
-        band = Band.of(head.occupancy(("face", "eyes")), head.grids["eyes"].cells)
-        if not head.sparse or len(band.vertices) > MOST_OF_THE_BOX * band.inside.numel():
+        band = head.surface_band(("face", "eyes"))
+        if band is None:
             raise UserError("the density of this field is nearly everywhere; there is no surface to bake")
         found = head.in_chunks(bound.features, band.points, 4)
         density = DensityLattice(band, torch.cat([item[0] for item in found]))
@@ -239,14 +236,23 @@ class BakedBoundHead:
         return to_picture(picture, camera), grid.geometry(seen)
 
     def _composited(
+        self, rays_o: torch.Tensor, rays_d: torch.Tensor, background: torch.Tensor, window: Window | None = None
+    ) -> RayFeatures:
+        """What rays see, and a second surface where the first one lets light through."""
+
+        def look(rays: torch.Tensor, where: Window) -> RayFeatures:
+            return self._first_surface(rays_o[rays], rays_d[rays], background[rays], where[0])
+
+        return add_behind(self._first_surface(rays_o, rays_d, background), background, look)
+
+    def _first_surface(
         self,
         rays_o: torch.Tensor,
         rays_d: torch.Tensor,
         background: torch.Tensor,
-        window: Window | None = None,
         start: torch.Tensor | None = None,
     ) -> RayFeatures:
-        """What rays see; `start` (R,) is the distance from which they look, None for the first surface."""
+        """What rays see of the first surface from a distance `start` (R,) on."""
         config, density = self.bound.field.config, self.baked.density
         features, opacity = background.clone(), rays_o.new_zeros(len(rays_o))
         distance = rays_o.new_full((len(rays_o),), torch.nan)
@@ -267,10 +273,4 @@ class BakedBoundHead:
         opacity[rays] = alpha
         expected = (weights * t).sum(-1) / alpha.clamp(min=1e-6)
         distance[rays] = torch.where(alpha >= OPACITY_FLOOR, expected, torch.nan)
-        seen = RayFeatures(features, opacity, distance, torch.where(hit, surface + config.shell, torch.nan))
-        if start is not None:
-            return seen
-        return add_behind(
-            seen, background,
-            lambda rays, where: self._composited(rays_o[rays], rays_d[rays], background[rays], start=where[0]),
-        )  # fmt: skip
+        return RayFeatures(features, opacity, distance, torch.where(hit, surface + config.shell, torch.nan))

@@ -82,6 +82,9 @@ INSIDE = np.array([[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]])
 BAND = 2
 """Feature pixels beside an outline in which a matte decides what shows the head."""
 
+BEYOND = BAND + 1
+"""Feature pixels, at most, by which features go on beyond the solid head."""
+
 PURE = 0.4
 """Opacity from which the feature of a pixel on an outline is known without its background."""
 
@@ -168,7 +171,7 @@ class FeatureGrid:
             return found
         near = torch.zeros_like(solid)
         near[outline] = True
-        near = F.max_pool2d(near.reshape(1, 1, *self.shape).float(), 2 * BAND + 1, stride=1, padding=BAND) > 0
+        near = grown(near.reshape(self.shape), BAND)
         matte = torch.where(near.flatten(), solid.float(), (opacity > FAINT).float())
         matte = matte[:, None].repeat(1, 4)
         matte[outline] = quarters.to(matte.dtype)
@@ -183,7 +186,7 @@ class FeatureGrid:
         outline: torch.Tensor,
         near: torch.Tensor,
     ) -> torch.Tensor:
-        """(h * w, C) features that near an outline (1, 1, h, w) are the head's own, on either side of it."""
+        """(h * w, C) features that near an outline (h, w) are the head's own, on either side of it."""
         known = opacity >= 0.5
         known[outline] = opacity[outline] >= PURE
         pure = features.clone()
@@ -191,9 +194,9 @@ class FeatureGrid:
         pure[outline] = background[outline] + (features[outline] - background[outline]) / alpha
         rows, columns = self.shape
         values = F.pad(pure.reshape(rows, columns, -1), (0, 0, 1, 1, 1, 1)).flatten(0, 1)
-        known, wanted = (F.pad(mask.reshape(rows, columns), (1, 1, 1, 1)).flatten() for mask in (known, near))
+        known, wanted = (F.pad(mask, (1, 1, 1, 1)).flatten() for mask in (known.reshape(self.shape), near))
         around = torch.tensor([y * (columns + 2) + x for y in (-1, 0, 1) for x in (-1, 0, 1)], device=known.device)
-        for _ in range(BAND + 1):
+        for _ in range(BEYOND):
             beside = (wanted & ~known).nonzero() + around
             share = known[beside].to(values.dtype)
             total = share.sum(1)
@@ -215,6 +218,11 @@ class FeatureGrid:
         near = (-distance).nan_to_num(-torch.inf).reshape(1, 1, *self.shape)
         grown = F.max_pool2d(torch.cat([near, far], dim=1), 3, stride=1, padding=1)[0].flatten(1)
         return torch.stack([-grown[0] - BESIDE[0], grown[1] + BESIDE[1]])
+
+
+def grown(mask: torch.Tensor, by: int) -> torch.Tensor:
+    """(h, w) bool: the pixels of a mask, and those at most so many from one of them along each axis."""
+    return F.max_pool2d(mask[None, None].float(), 2 * by + 1, stride=1, padding=by)[0, 0] > 0
 
 
 def cut_out(picture: torch.Tensor, behind: torch.Tensor, matte: torch.Tensor) -> torch.Tensor:

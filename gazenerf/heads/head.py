@@ -12,17 +12,17 @@ from typing import TypeVar
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 
-from gazenerf.devices import choose_device, points_at_once, product_dtype
+from gazenerf.devices import choose_device, is_out_of_memory, points_at_once, product_dtype
 from gazenerf.errors import UserError
 from gazenerf.field.model import TwoStreamField
 from gazenerf.field.streams import StreamCondition
 from gazenerf.geometry import Gaze
 from gazenerf.geometry.paths import BeyondTraining, GazeRange
 from gazenerf.heads.bound import BoundHead
-from gazenerf.heads.feature_map import RayFeatures, cut_out
+from gazenerf.heads.feature_map import BEYOND, RayFeatures, cut_out, grown
 from gazenerf.heads.interface import Part
+from gazenerf.heads.lattice import Band
 from gazenerf.heads.occupancy import MOVED, Occupancy
 from gazenerf.heads.upsampler import Upsampler, make_upsampler, upsample_window
 from gazenerf.subjects import Subject
@@ -38,6 +38,9 @@ T = TypeVar("T")
 
 LEAST_CHUNK = 2**11
 """Points queried at once that any GPU has memory for."""
+
+MOST_OF_THE_BOX = 0.5
+"""A band of more than this share of the lattice is no surface; a lattice there would not pay."""
 
 EVERYWHERE = 0.9
 """Share of the box above which a density has no surface to look for."""
@@ -189,7 +192,9 @@ class Head:
         while True:
             try:
                 return compute()
-            except torch.OutOfMemoryError as error:
+            except RuntimeError as error:
+                if not is_out_of_memory(error):
+                    raise
                 if self.chunk <= LEAST_CHUNK:
                     raise UserError(
                         "the GPU has too little free memory even for a few points at a time; choose a smaller --size, "
@@ -252,7 +257,7 @@ class Head:
         if self.device.type == "cpu":
             place = (seen.opacity > 0.0).reshape(shape)
             if seen.matte is not None:
-                place = F.max_pool2d(place[None, None].float(), 7, stride=1, padding=3)[0, 0] > 0.0
+                place = grown(place, BEYOND)
             picture = upsample_window(self.upsample, features, place, lambda: self._picture_behind(*shape))
         else:  # a GPU waits longer for the window than it saves
             picture = self.upsample(features)[0]
@@ -277,8 +282,7 @@ class Head:
             if found is None:
                 size = self.field.config.feature_size
                 with self.quickly():
-                    picture = self.field.renderer(self.field.renderer.background(size, size))
-                self._background = found = picture.mean((0, 2, 3)).cpu().numpy()
+                    self._background = found = self._picture_behind(size, size).mean((1, 2)).cpu().numpy()
             return found
 
     @property
@@ -310,6 +314,16 @@ class Head:
     def occupancy(self, streams: Iterable[str]) -> Occupancy:
         """Where the densities of some streams can be, whatever the gaze."""
         return Occupancy.union([self.grids[name] for name in streams])
+
+    def surface_band(self, streams: Iterable[str]) -> Band | None:
+        """Where the surface of some streams can be seen, whatever the gaze, in a field with eyes of their own.
+
+        None where the density is nearly everywhere.
+        """
+        if not self.sparse:
+            return None
+        band = Band.of(self.occupancy(streams), self.grids["eyes"].cells)
+        return None if len(band.vertices) > MOST_OF_THE_BOX * band.inside.numel() else band
 
     def trained_box(self, stream: str) -> torch.Tensor | None:
         """(2, 3) box outside which a stream's density is 0, None when there is none."""

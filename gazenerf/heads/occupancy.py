@@ -84,7 +84,7 @@ class Occupancy:
         About 9 mm for the bundled box, which covers how far lids move with the gaze.
         """
         near = _grown(other.cells, margin)
-        return Occupancy(self.cells | (_grown(self.density > threshold, margin) & near), self.box, self.density)
+        return Occupancy(self.cells | (self.grown(margin, threshold).cells & near), self.box, self.density)
 
     def grown(self, margin: int, threshold: float = 0.5) -> Occupancy:
         """The same with another margin."""

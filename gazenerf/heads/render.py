@@ -96,7 +96,7 @@ def _feature_map(
     if len(seen) and float(seen.median()) < SHALLOW:
         bound.head.warn_dense(f"a shell around the surface holds {float(seen.median()):.0%} of what is seen")
         return composite_rays(bound, grid.rays_o, grid.rays_d, streams, background, sparse=False)
-    found = _solid_rays(bound, grid.rays_o, grid.rays_d, streams, background, front=found)
+    found = _with_what_is_behind(bound, found, grid.rays_o, grid.rays_d, streams, background)
     return grid.smooth_outline(
         lambda rays_o, rays_d, behind, window: _solid_rays(bound, rays_o, rays_d, streams, behind, window),
         background,
@@ -167,11 +167,21 @@ def _solid_rays(
     streams: tuple[str, ...],
     background: torch.Tensor,
     window: Window | None = None,
-    front: RayFeatures | None = None,
 ) -> RayFeatures:
-    """`composite_rays` (or `front`, what it gave) and a second surface where the first one lets light through."""
-    if front is None:
-        front = composite_rays(bound, rays_o, rays_d, streams, background, window)
+    """`composite_rays`, and a second surface where the first one lets light through."""
+    front = composite_rays(bound, rays_o, rays_d, streams, background, window)
+    return _with_what_is_behind(bound, front, rays_o, rays_d, streams, background)
+
+
+def _with_what_is_behind(
+    bound: BoundHead,
+    front: RayFeatures,
+    rays_o: torch.Tensor,
+    rays_d: torch.Tensor,
+    streams: tuple[str, ...],
+    background: torch.Tensor,
+) -> RayFeatures:
+    """What `composite_rays` gave, in place with a second surface where the first one lets light through."""
 
     def look(rays: torch.Tensor, where: Window) -> RayFeatures:
         return composite_rays(bound, rays_o[rays], rays_d[rays], streams, background[rays], where)

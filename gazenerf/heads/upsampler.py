@@ -17,7 +17,7 @@ import torch.nn.functional as F
 from torch import nn
 
 from gazenerf.errors import UserError
-from gazenerf.field.neural_renderer import SLOPE, NeuralRenderer, blur_kernel
+from gazenerf.field.neural_renderer import SLOPE, NeuralRenderer, blur_kernel, narrowed_repeat, sub_pixels_first
 
 Upsampler = Callable[[torch.Tensor], torch.Tensor]
 """Feature map (B, C, h, w) float32 to sRGB pictures (B, 3, h * k, w * k) in (0, 1)."""
@@ -99,17 +99,13 @@ class _Step(nn.Module):
         super().__init__()
         channels, out = narrow.in_channels, narrow.out_channels
         self.out = out
-        # widen_1 emits channel c of quarter s at 4 c + s; rows of (quarter, channel) make the shuffle a permutation.
-        order = torch.arange(4 * channels, device=narrow.weight.device).reshape(channels, 4).T.reshape(-1)
         self.widen_0, self.widen_1 = _linear(upsample.widen_0), _linear(upsample.widen_1)
-        self.widen_1.weight.data = self.widen_1.weight.data[order].contiguous()
-        self.widen_1.bias.data = self.widen_1.bias.data[order].contiguous()
+        self.widen_1.weight.data = sub_pixels_first(self.widen_1.weight.data)
+        self.widen_1.bias.data = sub_pixels_first(self.widen_1.bias.data)
         self.narrow = nn.Linear(channels, out, bias=False)
         self.narrow.weight.data = narrow.weight.detach().flatten(1).clone()
-        repeated = torch.eye(channels, device=order.device).repeat(4, 1)[order].reshape(4, channels, channels)
         self.around = nn.Linear(channels, 4 * out)
-        weight = torch.einsum("oc,scf->sof", narrow.weight.detach().flatten(1), repeated.to(narrow.weight.dtype))
-        self.around.weight.data = weight.reshape(4 * out, channels).contiguous()
+        self.around.weight.data = narrowed_repeat(self.narrow.weight.data)
         self.around.bias.data = narrow.bias.detach().repeat(4)
         self.rgb = _linear(to_rgb)
         self.blur_features, self.blur_rgb = _Blur(out).to(narrow.weight.device), _Blur(3).to(narrow.weight.device)

@@ -8,10 +8,11 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import numpy as np
 import torch
 
+from gazenerf.devices import is_out_of_memory
 from gazenerf.training.batches import Batch, BatchMaker
 from gazenerf.training.config import TrainConfig
 from gazenerf.training.device_batches import DeviceBatchMaker, device_bytes
-from gazenerf.training.runtime import Runtime, is_out_of_memory
+from gazenerf.training.runtime import Runtime
 
 AHEAD = 2
 """Batches that a background thread prepares before they are asked for."""

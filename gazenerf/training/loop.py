@@ -14,6 +14,7 @@ from torch import nn
 
 from gazenerf.checkpoints import save_field
 from gazenerf.data.captures import Capture
+from gazenerf.devices import is_out_of_memory
 from gazenerf.errors import UserError
 from gazenerf.field.config import FieldConfig
 from gazenerf.field.model import TwoStreamField
@@ -28,7 +29,7 @@ from gazenerf.training.operations import FeatureMaps
 from gazenerf.training.optimizers import Optimizers
 from gazenerf.training.pace import Pace
 from gazenerf.training.record import append_row, forget_after, read_state, write_preview
-from gazenerf.training.runtime import Runtime, is_out_of_memory
+from gazenerf.training.runtime import Runtime
 
 STATE = "state.pt"
 LOG = "log.jsonl"

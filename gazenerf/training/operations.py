@@ -14,7 +14,7 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from gazenerf.field.neural_renderer import SLOPE, NeuralRenderer, Upsample
+from gazenerf.field.neural_renderer import SLOPE, NeuralRenderer, Upsample, narrowed_repeat, sub_pixels_first
 from gazenerf.training.losses import perceptual_loss, reconstruction_loss
 
 FeatureMaps = Callable[[torch.Tensor], Sequence[torch.Tensor]]
@@ -66,34 +66,20 @@ def _doubled(upsample: Upsample, narrow: nn.Conv2d, maps: torch.Tensor) -> torch
     """`leaky_relu(narrow(upsample(maps)))` of maps (B, h, w, C), as (B, 2h, 2w, N).
 
     Blur and pixel shuffle treat every channel alike, so the narrowing layer commutes with both and runs
-    first: they then move N channels instead of C. It is linear, so what the residual adds, channel
-    (4c + s) mod C of the input at sub-pixel s, becomes one product of the input; it is never repeated.
+    first: they then move N channels instead of C; see `narrowed_repeat` for what the residual adds.
     """
     batch, height, width, channels = maps.shape
     flat = maps.reshape(-1, channels)
     first, second = upsample.widen_0, upsample.widen_1
     assert first.bias is not None and second.bias is not None
     narrowing = narrow.weight[:, :, 0, 0]
-    # the wide layer's outputs, sub-pixels first: channel 4c + s becomes s * C + c
-    wide_weight = second.weight[:, :, 0, 0].unflatten(0, (channels, 4)).transpose(0, 1).flatten(0, 1)
-    wide_bias = second.bias.unflatten(0, (channels, 4)).t().flatten()
+    wide_weight, wide_bias = sub_pixels_first(second.weight[:, :, 0, 0]), sub_pixels_first(second.bias)
     wide = F.leaky_relu(F.linear(flat, first.weight[:, :, 0, 0], first.bias), SLOPE)
     wide = F.leaky_relu(F.linear(wide, wide_weight, wide_bias), SLOPE)
     narrowed = F.linear(wide.reshape(-1, channels), narrowing, narrow.bias).reshape(len(flat), -1)
-    kept = narrowed + F.linear(flat, _residual(narrowing))
+    kept = narrowed + F.linear(flat, narrowed_repeat(narrowing))
     shuffled = kept.reshape(batch, height, width, 2, 2, -1).permute(0, 1, 3, 2, 4, 5)
     return F.leaky_relu(_blurred(shuffled.reshape(batch, 2 * height, 2 * width, -1)), SLOPE)
-
-
-def _residual(narrowing: torch.Tensor) -> torch.Tensor:
-    """(4 N, C): what the repeated input adds at each sub-pixel after a narrowing layer (N, C)."""
-    narrow, channels = narrowing.shape
-    index = torch.arange(channels, device=narrowing.device)
-    sub_pixel = torch.arange(4, device=narrowing.device)
-    source = (4 * index[None, :] + sub_pixel[:, None]) % channels
-    chosen = (source[:, :, None] == index).to(narrowing.dtype)
-    with torch.autocast(narrowing.device.type, enabled=False):
-        return (narrowing @ chosen).reshape(4 * narrow, channels)
 
 
 def _blurred(maps: torch.Tensor) -> torch.Tensor:

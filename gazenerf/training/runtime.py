@@ -25,13 +25,6 @@ def fast_bfloat16(device: torch.device) -> bool:
     return bool(supported())
 
 
-def is_out_of_memory(error: BaseException) -> bool:
-    """Whether an error says that a GPU has no memory left, in the framework's words or a library's."""
-    if isinstance(error, torch.OutOfMemoryError):
-        return True
-    return isinstance(error, RuntimeError) and any(text in str(error) for text in ("out of memory", "ALLOC_FAILED"))
-
-
 class Runtime:
     """Moves, casts and steps an objective on one device or several.
 

@@ -8,10 +8,11 @@ from dataclasses import replace
 import pytest
 import torch
 
+from gazenerf.devices import is_out_of_memory
 from gazenerf.training.batches import BatchMaker
 from gazenerf.training.config import PRESETS
 from gazenerf.training.feed import Feed
-from gazenerf.training.runtime import Runtime, is_out_of_memory
+from gazenerf.training.runtime import Runtime
 from tests.training.test_device_batches import assert_same
 
 CONFIG = replace(PRESETS["tiny"], batch=3)

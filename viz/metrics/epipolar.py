@@ -13,7 +13,7 @@ import numpy as np
 
 from gazenerf.geometry import Camera
 from gazenerf.heads.interface import BoundField
-from gazenerf.viz.metrics.stream_views import CELLS, check_picture, window_camera
+from gazenerf.viz.metrics.stream_views import CELLS, check_picture
 
 S = TypeVar("S")
 T = TypeVar("T")
@@ -59,7 +59,7 @@ def epipolar_strips(
     high = min(size, -(-(max(rows.values()) + MARGIN) // CELLS) * CELLS)
 
     def band(camera: Camera) -> np.ndarray:
-        part = window_camera(camera, (slice(low, high), slice(0, size)))
+        part = camera.windowed((slice(low, high), slice(0, size)))
         image = bound.render(part).image
         check_picture(image, part, "the field's picture")
         return image

@@ -19,7 +19,7 @@ from gazenerf.viz.metrics.definitions import DECIBELS, NOT_NEGATIVE, Definition,
 from gazenerf.viz.metrics.drift import picture_silhouette
 from gazenerf.viz.metrics.epipolar import Map
 from gazenerf.viz.metrics.reference import Reference
-from gazenerf.viz.metrics.stream_views import check_picture, window_around, window_camera
+from gazenerf.viz.metrics.stream_views import check_picture, window_around
 from gazenerf.viz.metrics.surface_fit import Alignment, SurfaceSamples, align
 
 EYES = ("left", "right")
@@ -311,7 +311,7 @@ def _look(bound: BoundField, mesh: HeadMesh, size: int) -> _Frame:
     pictures, front, eyes = [], None, None
     for camera in iris_cameras(size):
         window = window_around(camera, centres, 2.0 * mesh.eye_radius)
-        whole = camera if front is None and _is_front(camera) else window_camera(camera, window)
+        whole = camera if front is None and _is_front(camera) else camera.windowed(window)
         image = bound.render(whole).image
         check_picture(image, whole, "the field's picture")
         pictures.append((image, whole))
@@ -338,7 +338,7 @@ def _spheres(bound: BoundField, mesh: HeadMesh, size: int) -> dict[str, tuple[np
     points = []
     for yaw in (-15.0, 15.0):
         camera = Camera.orbit(float(np.deg2rad(yaw)), 0.0, size=2 * size)
-        part = window_camera(camera, window_around(camera, mesh.eye_centres, SHELL * mesh.eye_radius))
+        part = camera.windowed(window_around(camera, mesh.eye_centres, SHELL * mesh.eye_radius))
         points.append(surface_points(bound.render_geometry(part, "eyes")))
     seen = np.concatenate(points)
     away = np.linalg.norm(seen[:, None] - mesh.eye_centres, axis=-1)

@@ -79,15 +79,9 @@ def _face(bound: BoundField, head: GeometryView, eyes: GeometryView) -> Geometry
             slice(max(0, int(rows.min()) - 1), min(height, int(rows.max()) + 2)),
             slice(max(0, int(columns.min()) - 1), min(width, int(columns.max()) + 2)),
         )
-        found = bound.render_geometry(window_camera(head.camera, window), "face")
+        found = bound.render_geometry(head.camera.windowed(window), "face")
         opacity[window], depth[window] = found.opacity, found.depth
     return GeometryView(head.camera, opacity, depth)
-
-
-def window_camera(camera: Camera, window: tuple[slice, slice]) -> Camera:
-    """The camera of some rows and columns of a picture."""
-    rows, columns = window
-    return camera.cropped(columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start)
 
 
 def window_around(camera: Camera, points: np.ndarray, margin: float) -> tuple[slice, slice]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +13,9 @@ from gazenerf.errors import UserError
 from gazenerf.files import whole_file
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.heads.interface import BoundField, HeadField
+from gazenerf.viz.pictures.drawing import draw_views
 from gazenerf.viz.pictures.layout import grid_size, tile
 from gazenerf.viz.pictures.panels import DEPTH_RANGE, ReferenceRenderer, check_panels, draw_panels
-from gazenerf.workers import in_order, pool, workers_for
 
 ORBIT_FORMAT = "gazenerf-orbit-1"
 
@@ -74,35 +74,15 @@ def render_orbit(
     if len({(camera.width, camera.height) for camera in cameras}) != 1:
         raise ValueError("the cameras of one orbit must have one size")
 
-    def draw(view: tuple[BoundField, Camera]) -> np.ndarray:
-        drawn = draw_panels(*view, names, reference=reference, geometry_size=geometry_size, depth_range=depth_range)
+    def draw(bound: BoundField, camera: Camera) -> np.ndarray:
+        drawn = draw_panels(
+            bound, camera, names, reference=reference, geometry_size=geometry_size, depth_range=depth_range
+        )
         return tile(drawn, columns, labels)
 
-    workers = workers_for(head.device) if reference is None else 1
     views = list(zip(cameras, gazes, strict=True))
-    return _repeated(_drawn(head, draw, _without_repeats(views), workers), views)
-
-
-def _drawn(
-    head: HeadField,
-    draw: Callable[[tuple[BoundField, Camera]], np.ndarray],
-    views: Sequence[tuple[Camera, Gaze]],
-    workers: int,
-) -> Iterator[np.ndarray]:
-    """A frame of each view, in order; bound in the caller's thread, drawn in so many of their own."""
-
-    def bound_views() -> Iterator[tuple[BoundField, Camera]]:
-        bound: BoundField | None = None
-        for camera, gaze in views:
-            if bound is None or gaze != bound.gaze:
-                bound = head.at(gaze)
-            yield bound, camera
-
-    if min(workers, len(views)) == 1:
-        yield from map(draw, bound_views())
-        return
-    with pool(workers) as executor:
-        yield from in_order(executor, draw, bound_views(), workers + 1)
+    workers = None if reference is None else 1  # reference renderers keep to one thread
+    return _repeated(draw_views(head, _without_repeats(views), draw, workers), views)
 
 
 def _without_repeats(views: Sequence[tuple[Camera, Gaze]]) -> list[tuple[Camera, Gaze]]:

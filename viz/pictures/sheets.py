@@ -11,8 +11,8 @@ from gazenerf.geometry import Camera, Gaze
 from gazenerf.heads.interface import HeadField
 from gazenerf.progress import Progress, counted, silent
 from gazenerf.viz.pictures.colormaps import to_uint8
+from gazenerf.viz.pictures.drawing import draw_views
 from gazenerf.viz.pictures.layout import table
-from gazenerf.workers import pool, workers_for
 
 
 def gaze_grid(
@@ -47,7 +47,7 @@ def gaze_grid(
     down, across = sorted(pitches, reverse=True), sorted(yaws)
     left, top, right, bottom = crop or (0, 0, camera.width, camera.height)
     gazes = [Gaze(float(pitch), float(yaw)) for pitch in down for yaw in across]
-    tiles = _drawn(head, [(gaze, camera) for gaze in gazes], progress)
+    tiles = _drawn(head, [(camera, gaze) for gaze in gazes], progress)
     kept = [to_uint8(tile)[top:bottom, left:right] for tile in tiles]
     rows = [kept[first : first + len(across)] for first in range(0, len(kept), len(across))]
     return table(
@@ -74,19 +74,17 @@ def contact_sheet(
     """
     if not cameras or not gazes:
         raise UserError("a contact sheet needs at least one view and one gaze")
-    tiles = _drawn(head, [(gaze, camera) for gaze in gazes for camera in cameras], progress)
+    tiles = _drawn(head, [(camera, gaze) for gaze in gazes for camera in cameras], progress)
     rows = [tiles[first : first + len(cameras)] for first in range(0, len(tiles), len(cameras))]
     names = [f"{_degrees(gaze.pitch)}, {_degrees(gaze.yaw)}" for gaze in gazes]
     views = [_degrees(Gaze.from_vector(camera.position).yaw) for camera in cameras]
     return table(rows, names, views, row_title="gaze: pitch, yaw", column_title="camera yaw")
 
 
-def _drawn(head: HeadField, views: Sequence[tuple[Gaze, Camera]], progress: Progress) -> list[np.ndarray]:
-    """Pictures (H, W, 3) in [0, 1] of a head; on a CPU one is drawn on each core."""
-    bound = {gaze: head.at(gaze) for gaze in dict.fromkeys(gaze for gaze, _ in views)}
-    with pool(workers_for(head.device)) as executor:
-        pictures = executor.map(lambda view: bound[view[0]].render(view[1]).image, views)
-        return list(counted(pictures, progress, "rendering", len(views)))
+def _drawn(head: HeadField, views: Sequence[tuple[Camera, Gaze]], progress: Progress) -> list[np.ndarray]:
+    """Pictures (H, W, 3) of a head in [0, 1]."""
+    pictures = draw_views(head, views, lambda bound, camera: bound.render(camera).image)
+    return list(counted(pictures, progress, "rendering", len(views)))
 
 
 def _degrees(angle: float) -> str:

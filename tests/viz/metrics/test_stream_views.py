@@ -12,7 +12,7 @@ from gazenerf.geometry import Camera
 from gazenerf.heads.interface import PARTS, Part
 from gazenerf.viz.metrics.epipolar import epipolar_strips, strip_cameras
 from gazenerf.viz.metrics.pairs import angle_between, load_perceptual, measure_pair, view_pairs
-from gazenerf.viz.metrics.stream_views import render_streams, window_around, window_camera
+from gazenerf.viz.metrics.stream_views import render_streams, window_around
 from gazenerf.viz.selftest.exact_scene import FEATURE_PIXELS, SmoothScene
 from gazenerf.workers import pool
 
@@ -32,7 +32,7 @@ def test_a_window_shows_what_the_picture_shows_there():
     scene, camera = SmoothScene(), Camera.orbit(0.2, 0.1, size=128)
     centres = np.stack([eye.centre for eye in scene.eyes])
     window = window_around(camera, centres, 0.24)
-    part = window_camera(camera, window)
+    part = camera.windowed(window)
     assert np.allclose(scene.render(part).image, scene.render(camera).image[window], atol=1e-6)
     assert all(edge % 16 == 0 for side in window for edge in (side.start, side.stop))
     pixels, _ = camera.project(centres)
