@@ -88,7 +88,7 @@ def _shape(hint: Any, option: Option) -> dict[str, Any]:
             shape |= {"nargs": len(typing.get_args(inner)), "action": "append"}
             inner = typing.get_args(inner)[0]
         else:
-            shape["nargs"] = "+"
+            shape |= {"nargs": "+", "action": "extend"}  # given twice, both count
     if typing.get_origin(inner) is typing.Literal:
         inner = type(typing.get_args(inner)[0])
     if inner is not str:

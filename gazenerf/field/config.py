@@ -24,8 +24,9 @@ class FieldConfig:
         z_near, z_far: World z of the first and the last slab edge.
         identity, expression, texture, illumination: Code sizes.
         streams: `two` (face and eyes) or `one` (the vanilla ablations and HeadNeRF).
-        gaze_input: The streams see the gaze label.
-        eye_motion: `feature_rotation` (paper Sec. 3.2, "3D awareness") or `none`.
+        gaze_input: The streams see the gaze label; with `rigid` eyes the face stream only.
+        eye_motion: `feature_rotation` (paper Sec. 3.2, "3D awareness"), `none`, or `rigid` (this project's:
+            the eyeballs turn about their centres; see `eye_motion.py`).
         merge: `max` (paper Sec. 3.2, "Merging features") or `joint` (this project's: both densities
             composited as one medium, so that lids occlude the eyes).
         background: Initial background feature, `ones` (white) or `zeros` (black).
@@ -96,7 +97,11 @@ class FieldConfig:
             need(0 <= getattr(self, name) <= MAX_CODE, f"{name} code size out of range")
         for name, choices in _CHOICES.items():
             need(getattr(self, name) in choices, f"{name} must be one of {', '.join(choices)}")
-        need(self.eye_motion == "none" or self.feature_channels % 3 == 0, "rotated features come in groups of 3")
+        need(
+            self.eye_motion != "feature_rotation" or self.feature_channels % 3 == 0,
+            "rotated features come in groups of 3",
+        )
+        need(self.eye_motion != "rigid" or self.streams == "two", "rigid eyes need a stream of their own")
         need(len(self.input_gains) == 5 and all(gain > 0 for gain in self.input_gains), "input_gains are five above 0")
         box = self.eyes_box
         need(
@@ -110,10 +115,13 @@ class FieldConfig:
         """Up-sampling factor: picture pixels along a side per feature pixel."""
         return self.image_size // self.feature_size
 
-    @property
-    def input_channels(self) -> int:
+    def sees_gaze(self, stream: str) -> bool:
+        """Whether a stream takes the gaze label as an input."""
+        return self.gaze_input and not (stream == "eyes" and self.eye_motion == "rigid")
+
+    def input_channels(self, stream: str) -> int:
         """Channels of a stream's input: encoding, shape code, gaze."""
-        return 3 + 6 * self.frequencies + self.identity + self.expression + (2 if self.gaze_input else 0)
+        return 3 + 6 * self.frequencies + self.identity + self.expression + (2 if self.sees_gaze(stream) else 0)
 
     @property
     def code_sizes(self) -> tuple[int, int, int, int]:
@@ -154,7 +162,7 @@ class FieldConfig:
 
 _CHOICES: dict[str, tuple[str, ...]] = {
     "streams": ("two", "one"),
-    "eye_motion": ("feature_rotation", "none"),
+    "eye_motion": ("feature_rotation", "none", "rigid"),
     "merge": ("max", "joint"),
     "background": ("ones", "zeros"),
     "density_activation": ("relu", "softplus"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -10,7 +11,7 @@ from torch import nn
 
 from gazenerf.field.compositing import StreamSamples, composite_stream, composite_streams
 from gazenerf.field.config import FieldConfig
-from gazenerf.field.eye_motion import EYE_MOTIONS
+from gazenerf.field.eye_motion import EYE_MOTIONS, EyeCentres, EyePose
 from gazenerf.field.neural_renderer import NeuralRenderer
 from gazenerf.field.streams import Stream, StreamCondition
 
@@ -22,6 +23,7 @@ class TwoStreamField(nn.Module):
         config: Sizes and conventions.
         streams: `face` and `eyes`, or `head` alone.
         renderer: Shared by all pictures.
+        eye_centres: Where the eyeballs turn, of fields whose eyes turn rigidly.
         about: Provenance stored with the weights, JSON-able.
         weights_hash: Names the weights; empty for a field that was never saved.
     """
@@ -30,8 +32,9 @@ class TwoStreamField(nn.Module):
         super().__init__()
         self.config = config
         names = ("face", "eyes") if config.streams == "two" else ("head",)
-        self.streams = nn.ModuleDict({name: Stream(config) for name in names})
+        self.streams = nn.ModuleDict({name: Stream(config, name) for name in names})
         self.renderer = NeuralRenderer(config)
+        self.eye_centres = EyeCentres(config.identity) if config.eye_motion == "rigid" else None
         self.about: dict[str, Any] = {}
         self.weights_hash = ""
 
@@ -48,6 +51,19 @@ class TwoStreamField(nn.Module):
     def move_eyes(self, features: torch.Tensor, label: torch.Tensor) -> torch.Tensor:
         """Features (..., C) turned by the configured eye motion; label (..., 2) broadcasts."""
         return EYE_MOTIONS[self.config.eye_motion](features, label)
+
+    def eye_pose(self, name: str, shape_code: torch.Tensor, label: torch.Tensor) -> EyePose | None:
+        """How a stream's points turn with shape codes (B, .) at labels (B, 2); None where they do not."""
+        if self.eye_centres is None or name != "eyes":
+            return None
+        return self.eye_centres.pose(shape_code[:, : self.config.identity], self.label(label))  # signs undo themselves
+
+    def condition(
+        self, name: str, shape_code: torch.Tensor, appearance_code: torch.Tensor, label: torch.Tensor
+    ) -> StreamCondition:
+        """Codes (B, .) and label (B, 2) folded into a stream by name, with the pose of rigid eyes."""
+        found = self.stream(name).condition(shape_code, appearance_code, label)
+        return replace(found, pose=self.eye_pose(name, shape_code, label))
 
     def confine(self, name: str, density: torch.Tensor, points: torch.Tensor) -> torch.Tensor:
         """Density (...) of a stream at points (..., 3), 0 where that stream was never trained."""
@@ -81,7 +97,7 @@ class TwoStreamField(nn.Module):
     @property
     def version(self) -> int:
         """Changes whenever a weight does; what is derived from weights is kept under it."""
-        return hash(tuple((value.data_ptr(), value._version) for value in self.parameters()))
+        return hash(tuple((value.data_ptr(), value._version) for value in (*self.parameters(), *self.buffers())))
 
     def published_forward(
         self,
@@ -126,7 +142,9 @@ class TwoStreamField(nn.Module):
         maps: dict[str, torch.Tensor] = {}
         seen: dict[str, StreamSamples] = {}
         for name in self.streams:
-            density, features = self.stream(name)(samples, shape_code, appearance_code, gaze_label)
+            pose = self.eye_pose(name, shape_code, gaze_label)
+            still = samples if pose is None else pose.straight_ahead(samples)
+            density, features = self.stream(name)(still, shape_code, appearance_code, gaze_label)
             seen[name] = StreamSamples(self.confine(name, density, samples), features)
             found = composite_stream(seen[name], deltas)
             rows = found.over(flat)

@@ -15,6 +15,7 @@ from torch import nn
 
 from gazenerf.field.config import FieldConfig
 from gazenerf.field.encoding import positional_encoding
+from gazenerf.field.eye_motion import EyePose
 
 INITIAL_DENSITY = 5.0
 """Density bias of a fresh stream, per world unit: a ReLU that starts at zero may never leave it."""
@@ -35,12 +36,14 @@ class StreamCondition:
         skip: (B, H) bias of the layer after the skip.
         feature_weight: (H/2, H) the feature branch's first two linear layers in one.
         feature_bias: (B, H/2) their bias, with the appearance code.
+        pose: Of eyes that turn rigidly; None where the stream is queried at the points themselves.
     """
 
     first: torch.Tensor
     skip: torch.Tensor
     feature_weight: torch.Tensor
     feature_bias: torch.Tensor
+    pose: EyePose | None = None
 
 
 class Stream(nn.Module):
@@ -48,12 +51,13 @@ class Stream(nn.Module):
 
     Args:
         config: Sizes and initialisation.
+        name: Which stream of the field.
     """
 
-    def __init__(self, config: FieldConfig) -> None:
+    def __init__(self, config: FieldConfig, name: str = "face") -> None:
         super().__init__()
-        self.config = config
-        width, inputs = config.hidden, config.input_channels
+        self.config, self.sees_gaze, self.inputs = config, config.sees_gaze(name), config.input_channels(name)
+        width, inputs = config.hidden, self.inputs
         appearance = config.texture + config.illumination
         self.trunk = nn.ModuleList(
             nn.Linear(inputs if i == 0 else width + inputs if i == config.skip_after else width, width)
@@ -76,7 +80,7 @@ class Stream(nn.Module):
             identity * shape_code[..., : self.config.identity],
             expression * shape_code[..., self.config.identity :],
         ]
-        return torch.cat([*codes, gaze * gaze_label] if self.config.gaze_input else codes, dim=-1)
+        return torch.cat([*codes, gaze * gaze_label] if self.sees_gaze else codes, dim=-1)
 
     def _appearance(self, appearance_code: torch.Tensor) -> torch.Tensor:
         _, _, texture, illumination, _ = self.config.input_gains
@@ -132,7 +136,7 @@ class Stream(nn.Module):
         """Fold codes (B, .) and gaze label (B, 2) into biases."""
         codes = self._codes(shape_code, gaze_label)
         encoded = 3 + 6 * self.config.frequencies
-        inputs, width = self.config.input_channels, self.config.hidden
+        inputs, width = self.inputs, self.config.hidden
         first, skip = self.trunk[0], self.trunk[self.config.skip_after]
         assert isinstance(first, nn.Linear) and isinstance(skip, nn.Linear)
         with torch.autocast(shape_code.device.type, enabled=False):
@@ -161,10 +165,12 @@ class Stream(nn.Module):
             density (B, ...) float32 and hidden feature (B, ..., H/2).
         """
         batch, rest = points.shape[0], points.shape[1:-1]
+        if condition.pose is not None:
+            points = condition.pose.straight_ahead(points)
         encoded = positional_encoding(points.reshape(batch, -1, 3), self.config.frequencies)
         if torch.is_autocast_enabled(points.device.type):
             encoded = encoded.to(torch.get_autocast_dtype(points.device.type))
-        channels, inputs = encoded.shape[-1], self.config.input_channels
+        channels, inputs = encoded.shape[-1], self.inputs
         hidden = encoded
         for i, layer in enumerate(self.trunk):
             assert isinstance(layer, nn.Linear)

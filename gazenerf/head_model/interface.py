@@ -60,6 +60,10 @@ class HeadModel(Protocol):
         """Names the model in files."""
         ...
 
+    def eye_centres(self, identity: np.ndarray) -> np.ndarray:
+        """(2, 3) centres of rotation of an identity code, left then right, world units; linear in the code."""
+        ...
+
     def mesh(self, codes: Codes, gaze: Gaze) -> HeadMesh:
         """The posed head; lids follow the gaze."""
         ...

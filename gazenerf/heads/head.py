@@ -221,9 +221,7 @@ class Head:
             shape = torch.from_numpy(codes.shape_code)[None].to(self.device)
             appearance = torch.from_numpy(codes.appearance_code)[None].to(self.device)
             label = self.field.label(torch.from_numpy(gaze.label)[None].to(self.device))
-            return label, {
-                name: self.field.stream(name).condition(shape, appearance, label) for name in self.field.streams
-            }
+            return label, {name: self.field.condition(name, shape, appearance, label) for name in self.field.streams}
 
     def _refresh(self) -> None:
         """Forget what was found for other weights; the lock is held."""

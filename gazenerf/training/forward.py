@@ -64,14 +64,14 @@ def render_batch(
     window = batch.eye_corner * (model.config.image_size // maps.size)
 
     first = "face" if model.config.streams == "two" else "head"
-    first_condition = model.stream(first).condition(batch.shape_code, batch.appearance_code, maps.label)
+    first_condition = model.condition(first, batch.shape_code, batch.appearance_code, maps.label)
     face = model.samples(first, points, first_condition)
     face_alone = composite_stream(face, deltas)
     face_map = maps.whole(face_alone, batch.rays)
     if first == "head":
         return TrainingRender(maps.picture(maps.turn(face_map)), None, window, None)
 
-    eyes_condition = model.stream("eyes").condition(batch.shape_code, batch.appearance_code, maps.label)
+    eyes_condition = model.condition("eyes", batch.shape_code, batch.appearance_code, maps.label)
     eyes = model.samples("eyes", pick(points, batch.eye_rays), eyes_condition)
     eye_deltas, eye_pixels = pick(deltas, batch.eye_rays), batch.rays.gather(1, batch.eye_rays)
     eyes_map = maps.whole(composite_stream(eyes, eye_deltas), eye_pixels)

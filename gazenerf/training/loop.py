@@ -81,6 +81,7 @@ def train(
     *,
     held_out: Sequence[Capture] = (),
     eyeballs: Callable[[Capture], tuple[np.ndarray, float]] | None = None,
+    eye_centres: tuple[np.ndarray, np.ndarray] | None = None,
     features: FeatureMaps | None = None,
     estimate_gaze: Callable[[torch.Tensor], torch.Tensor] | None = None,
     runtime: Runtime | None = None,
@@ -104,6 +105,8 @@ def train(
         config: Losses, sampling, schedule.
         held_out: Shown in previews and logged as PSNR, never learned from.
         eyeballs: Capture to (eye centres, radius), for the eyeball term.
+        eye_centres: Where eyes turn that turn rigidly: mean (2, 3) and what each component of the identity code
+            adds (I, 2, 3), world units.
         features, estimate_gaze: See `Objective`.
         resume: Continue from `out/state.pt`.
         initial: Start from this field's weights instead of fresh ones.
@@ -118,6 +121,8 @@ def train(
         UserError: sizes do not match, nothing to resume, the loss is not finite, or a GPU has too little memory.
     """
     _check(captures, field_config, minutes)
+    if field_config.eye_motion == "rigid" and eye_centres is None and initial is None:
+        raise UserError("rigid eyes need the eyeballs' centres (eye_centres)")
     runtime = runtime or Runtime()
     torch.manual_seed(config.seed)
     field_config = replace(
@@ -125,7 +130,10 @@ def train(
         trained_gaze_range=trained_range(captures),
         eyes_box=None if eyeballs is None or config.shell is None else eyes_box(captures, eyeballs),
     )
-    model = starting_field(field_config, initial).requires_grad_(True).to(runtime.device)
+    model = starting_field(field_config, initial).requires_grad_(True)
+    if model.eye_centres is not None and eye_centres is not None:
+        model.eye_centres.set(*eye_centres)
+    model.to(runtime.device)
     frozen = runtime.place(features), runtime.place(estimate_gaze)
     objective = Objective(model, config, len(captures), *frozen, runtime.operations()).to(runtime.device)
     run = _Run(Path(out), field_config, Pace(config.steps, minutes), runtime, objective, about or {}, len(captures))

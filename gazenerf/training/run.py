@@ -20,7 +20,7 @@ from gazenerf.training.gaze_estimator import load_gaze_estimator
 from gazenerf.training.loop import FIELD, TrainingStep, train
 from gazenerf.training.perceptual import load_perceptual
 from gazenerf.training.runtime import COMPILE, Runtime
-from gazenerf.training.split import eyeballs_of, split_captures
+from gazenerf.training.split import eyeballs_of, linear_eye_centres, split_captures
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,6 +102,7 @@ def train_field(
         options.out,
         held_out=watched,
         eyeballs=eyeballs_of(learned) if config.eyeball else None,
+        eye_centres=linear_eye_centres(field_config.identity) if field_config.eye_motion == "rigid" else None,
         features=features,
         estimate_gaze=estimate_gaze,
         runtime=runtime,

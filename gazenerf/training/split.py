@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from gazenerf.data.captures import Capture
+from gazenerf.errors import UserError
 
 
 def is_held_out_view(view: int, share: float) -> bool:
@@ -35,6 +36,24 @@ def split_captures(
         held = capture.person in unseen or is_held_out_view(capture.view, held_out_views)
         (kept if held else learned).append(capture)
     return learned, kept
+
+
+def linear_eye_centres(identity: int) -> tuple[np.ndarray, np.ndarray]:
+    """Where the bundled head model's eyeballs turn: mean (2, 3) and what each of `identity` components adds (I, 2, 3).
+
+    Raises:
+        UserError: the head model has identity codes of another size.
+    """
+    from gazenerf.head_model import load_head_model
+
+    model = load_head_model()
+    if model.code_sizes[0] != identity:
+        raise UserError(
+            f"rigid eyes need to know where the eyeballs are, and the captures' identity codes ({identity}) are not "
+            f"those of the head model {model.name} ({model.code_sizes[0]}); choose another eye_motion"
+        )
+    mean = model.eye_centres(np.zeros(identity))
+    return mean, np.stack([model.eye_centres(unit) - mean for unit in np.eye(identity)])
 
 
 def eyeballs_of(captures: Sequence[Capture]) -> Callable[[Capture], tuple[np.ndarray, float]]:

@@ -70,6 +70,11 @@ def test_what_does_not_fit_is_refused(typed: list[str]) -> None:
         parse(*typed)
 
 
+def test_an_option_of_words_may_be_given_twice() -> None:
+    typed = parse("--out", "d", "--formats", "obj", "stl", "--formats", "ply")
+    assert parsed(Sample, typed).formats == ("obj", "stl", "ply")
+
+
 def test_dictionaries_are_plain() -> None:
     plain = to_dict(parsed(Sample, parse(*EVERYTHING)))
     assert plain["out"] == "d" and plain["pairs"] == [[1.0, 2.0], [3.0, 4.0]] and plain["labels"] is False

@@ -19,8 +19,8 @@ def test_round_trip_through_json(name: str) -> None:
 def test_paper_preset_has_the_papers_sizes() -> None:
     config = PRESETS["paper"]
     assert (config.image_size, config.feature_size, config.feature_channels, config.hidden) == (512, 64, 258, 384)
-    assert config.upsampling == 8 and config.input_channels == 244 and config.code_sizes == (100, 79, 100, 27)
-    assert PRESETS["headnerf"].input_channels == 242
+    assert config.upsampling == 8 and config.input_channels("face") == 244 and config.code_sizes == (100, 79, 100, 27)
+    assert PRESETS["headnerf"].input_channels("head") == 242
 
 
 @pytest.mark.parametrize(

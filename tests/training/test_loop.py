@@ -19,6 +19,7 @@ from gazenerf.training.forward import render_batch
 from gazenerf.training.loop import train, trained_range
 from gazenerf.training.objective import Objective, Offsets, schedule
 from gazenerf.training.runtime import Runtime
+from tests.training.conftest import EYES
 
 FIELD = replace(FIELDS["tiny"], identity=4, expression=3, texture=5)
 CONFIG = replace(PRESETS["tiny"], steps=8, learning_rate=3e-3)
@@ -94,6 +95,18 @@ def test_one_stream_trains(toy_captures, motion):
     loss, _ = Objective(model, replace(CONFIG, depth=0, surface=0, opacity=0, empty=0, eyeball=0), 16)(batch, 0)
     loss.backward()
     assert float(model.stream("head").density.weight.grad.abs().max()) > 0
+
+
+def test_rigid_eyes_train_and_need_their_centres(toy_captures, toy_eyeballs, tmp_path):
+    field = replace(FIELD, eye_motion="rigid")
+    options = {"eyeballs": toy_eyeballs, "runtime": Runtime("cpu", precision="float32")}
+    with pytest.raises(UserError, match="centres"):
+        train(toy_captures, field, CONFIG, tmp_path, **options)
+    centres = EYES, np.zeros((field.identity, 2, 3))
+    trained = train(toy_captures, field, CONFIG, tmp_path, eye_centres=centres, **options)
+    assert trained.eye_centres is not None
+    assert np.allclose(load_field(tmp_path / "field.safetensors").eye_centres.mean.numpy(), EYES)
+    assert trained.stream("face").inputs == trained.stream("eyes").inputs + 2
 
 
 def test_offsets_start_as_nothing_and_cameras_turn_rays(toy_captures):
