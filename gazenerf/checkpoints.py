@@ -18,12 +18,13 @@ from typing import Any
 import torch
 from safetensors.torch import save_file
 
+from gazenerf.archives import open_archive
 from gazenerf.errors import UserError
 from gazenerf.field.config import FieldConfig
 from gazenerf.field.model import TwoStreamField
-from gazenerf.field.published import config_from_weights, native_name, native_weights
+from gazenerf.field.published import config_from_weights, is_published, native_name, native_weights
 from gazenerf.files import whole_file
-from gazenerf.pickles import Options, TensorRecord, TorchArchive
+from gazenerf.pickles import Options, TensorRecord
 from gazenerf.tensor_files import TensorFileKind, open_tensors
 
 FORMAT = "gazenerf-field-1"
@@ -40,6 +41,9 @@ KIND = TensorFileKind(
     foreign="a published checkpoint is converted by `gazenerf import-checkpoint`",
     fix="give a .safetensors file that gazenerf wrote",
 )
+
+ANCHOR = "neural_render.bg_featmap"
+"""A weight that every published network has, by which it is found."""
 
 OFFSETS = ("iden_offset", "expr_offset", "appea_offset", "delta_EulurAngles", "delta_Tvecs")
 """What a published checkpoint learned for each training image: code offsets and camera corrections."""
@@ -161,15 +165,21 @@ class OfficialCheckpoint:
         field: The network, in evaluation mode.
         offsets: Published name (see `OFFSETS`) to the (images, .) values learned beside it; may be empty.
         options: The published options that are plain values.
+        ignored: Names of tensors beside the weights that the network has no use for.
     """
 
     field: TwoStreamField
     offsets: dict[str, torch.Tensor]
     options: dict[str, Any]
+    ignored: tuple[str, ...] = ()
 
 
 def import_official(path: str | Path) -> OfficialCheckpoint:
-    """Read a published GazeNeRF or HeadNeRF checkpoint (a `torch.save` file) without executing it.
+    """Read a published GazeNeRF or HeadNeRF checkpoint without executing it.
+
+    The file is one that `torch.save` wrote, in any version, or safetensors. The network may be the whole of
+    it or lie under any key, its names may have a common prefix such as `module.`, and objects that
+    are of no use here are skipped.
 
     Sizes come from the weights themselves, conventions from the published code: integer ray
     coordinates, labels that point down and to the subject's right.
@@ -179,19 +189,18 @@ def import_official(path: str | Path) -> OfficialCheckpoint:
     """
     path = Path(path)
     if not path.is_file():
-        raise UserError(f"no published checkpoint at {path}; give the file that torch.save wrote")
+        raise UserError(f"no published checkpoint at {path}; give the file with its weights")
     try:
-        with TorchArchive(path) as archive:
-            content = archive.content
-            if not isinstance(content, dict) or not isinstance(content.get("net"), dict):
-                raise ValueError("it holds no network under `net`")
-            options = _plain_options(content.get("para"))
-            config = _official_config(content["net"], options)
-            state = {name: archive.tensor(content["net"][name]).float() for name in content["net"]}
+        with open_archive(path) as archive:
+            network = find_network(archive.content)
+            beside = archive.content if isinstance(archive.content, dict) else {}
+            options = _plain_options(beside)
+            config = _official_config(network.weights, options)
+            state = {name: archive.tensor(record).float() for name, record in network.weights.items()}
             offsets = {
-                name: archive.tensor(content[name]).float()
+                name: archive.tensor(beside[name]).float()
                 for name in OFFSETS
-                if isinstance(content.get(name), TensorRecord)
+                if isinstance(beside.get(name), TensorRecord)
             }
     except (pickle.UnpicklingError, zipfile.BadZipFile, LookupError, ValueError, TypeError, OSError) as error:
         reason = f"unknown weights {error}" if isinstance(error, KeyError) else str(error)
@@ -201,16 +210,64 @@ def import_official(path: str | Path) -> OfficialCheckpoint:
             raise UserError(f"{path}: the learned {name} hold NaN or infinite values")
     field = field_from_weights(native_weights(state), config, str(path))
     field.about = {"imported_from": path.name, "imported_hash": weights_hash(path), "published_options": options}
-    return OfficialCheckpoint(field, offsets, options)
+    return OfficialCheckpoint(field, offsets, options, network.ignored)
 
 
-def _plain_options(saved: Any) -> dict[str, Any]:
-    """The plain values of published options, an object or a dictionary."""
+@dataclass(frozen=True)
+class _Network:
+    """The weights of a network in a file.
+
+    Attributes:
+        weights: Published name to tensor.
+        ignored: Names of the tensors beside them.
+    """
+
+    weights: dict[str, TensorRecord]
+    ignored: tuple[str, ...]
+
+
+def find_network(content: Any) -> _Network:
+    """The published network somewhere in what a file holds: the first dictionary, from the outside in, that has it.
+
+    Raises:
+        ValueError: there is none, or several of its names mean the same weight.
+    """
+    level, deepest = [content], 4
+    for _ in range(deepest):
+        tables = [item for item in level if isinstance(item, dict)]
+        for table in tables:
+            anchors = [name for name in table if isinstance(name, str) and name.endswith(ANCHOR)]
+            if len(anchors) > 1:
+                raise ValueError(f"it holds several networks ({', '.join(sorted(anchors)[:3])}); give a file with one")
+            if anchors:
+                return _network(table, anchors[0].removesuffix(ANCHOR))
+        level = [value for table in tables for value in table.values()]
+    raise ValueError(f"it holds no published network: nowhere is there a weight named {ANCHOR}")
+
+
+def _network(table: dict[Any, Any], prefix: str) -> _Network:
+    weights, ignored = {}, []
+    for name, record in table.items():
+        if not isinstance(name, str) or not isinstance(record, TensorRecord):
+            continue
+        plain = name.removeprefix(prefix)
+        if name.startswith(prefix) and is_published(plain):
+            if not record.storage.dtype.is_floating_point:
+                raise ValueError(f"{name} holds {record.storage.dtype} where weights are floating-point numbers")
+            weights[plain] = record
+        else:
+            ignored.append(name)
+    return _Network(weights, tuple(ignored))
+
+
+def _plain_options(content: dict[Any, Any]) -> dict[str, Any]:
+    """The plain values of the published options of a file, an object or a dictionary."""
+    saved = content.get("para")
     values = saved.values if isinstance(saved, Options) else saved if isinstance(saved, dict) else {}
     return {str(name): value for name, value in values.items() if isinstance(value, (bool, int, float, str))}
 
 
-def _official_config(net: dict[Any, Any], options: dict[str, Any]) -> FieldConfig:
+def _official_config(net: dict[str, TensorRecord], options: dict[str, Any]) -> FieldConfig:
     """The configuration of a published network, from the shapes of its weights.
 
     Raises:
@@ -218,8 +275,6 @@ def _official_config(net: dict[Any, Any], options: dict[str, Any]) -> FieldConfi
     """
     shapes: dict[str, tuple[int, ...]] = {}
     for name, record in net.items():
-        if not isinstance(name, str) or not isinstance(record, TensorRecord):
-            raise ValueError("its network is not made of named tensors")
         ours = native_name(name)
         if ours is not None:
             flat = ours.startswith("streams.") and record.shape[2:] == (1, 1)

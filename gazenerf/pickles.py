@@ -1,28 +1,25 @@
-"""Reading `torch.save` archives without executing them.
+"""Reading the pickles of `torch.save` without executing them.
 
-A pickle is a program. Here every name that the program may call is replaced by something inert,
-every other name is refused, and tensors stay descriptions until they are asked for, so that sizes
-are checked before memory is taken.
+A pickle is a program. Here every name that the program may call is replaced by something inert, and
+tensors stay descriptions until they are asked for, so that sizes are checked before memory is taken.
+Instances of classes that nobody here knows are skipped: they are stood for by an object that forgets
+what it is given. A program that calls such a name as a function, or asks for anything of Python's own
+library beyond plain containers, is refused.
 """
 
 from __future__ import annotations
 
 import io
-import math
 import pickle
 import pickletools
-import zipfile
+import sys
 from collections import OrderedDict
 from dataclasses import dataclass
-from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import torch
 
-MAX_ARCHIVE_BYTES = 2**31
 MAX_PROGRAM_BYTES = 2**25
-MAX_ENTRIES = 2**17
 
 _STORAGES = {
     "DoubleStorage": torch.float64,
@@ -55,6 +52,35 @@ class Inert:
         pass
 
 
+class _OnlyMade(type):
+    """Of classes that may be instantiated by the operation for instances, and not be called."""
+
+    def __call__(cls, *_: Any) -> Any:
+        raise pickle.UnpicklingError(f"it calls {cls.__qualname__}, which a checkpoint has no use for")
+
+
+class Skipped(metaclass=_OnlyMade):
+    """Stands for an instance of a class that is of no use here; forgets what it is given."""
+
+    def __new__(cls, *_: Any) -> Any:
+        return object.__new__(cls)
+
+    def __setstate__(self, _: Any) -> None:
+        pass
+
+    def __setitem__(self, _: Any, __: Any) -> None:
+        pass
+
+    def append(self, _: Any) -> None:
+        """Forget an item."""
+
+    def extend(self, _: Any) -> None:
+        """Forget items."""
+
+    def add(self, _: Any) -> None:
+        """Forget an item."""
+
+
 class Options:
     """Stands for an options object: its attributes as a dictionary, none of its behaviour.
 
@@ -70,7 +96,7 @@ class Options:
 
 
 @dataclass(frozen=True)
-class _Storage:
+class Storage:
     """A run of numbers in the archive, not read yet."""
 
     dtype: torch.dtype
@@ -88,7 +114,7 @@ class TensorRecord:
         shape, stride: In numbers.
     """
 
-    storage: _Storage
+    storage: Storage
     offset: int
     shape: tuple[int, ...]
     stride: tuple[int, ...]
@@ -107,7 +133,7 @@ class _RebuildTensor(_Rebuild):
     __slots__ = ()
 
     def __call__(self, storage: Any, offset: Any, shape: Any, stride: Any, *_: Any) -> TensorRecord:
-        if not isinstance(storage, _Storage):
+        if not isinstance(storage, Storage):
             raise pickle.UnpicklingError("a tensor without a storage")
         numbers = (offset, *shape, *stride)
         if len(shape) != len(stride) or len(shape) > 8 or not all(type(n) is int and 0 <= n < 2**40 for n in numbers):
@@ -133,11 +159,28 @@ _NAMES: dict[tuple[str, str], Any] = {
     ("numpy", "ndarray"): Inert,
     **{(f"numpy.{core}.multiarray", name): Inert for core in ("core", "_core") for name in ("_reconstruct", "scalar")},
     **{("torch", name): dtype for name, dtype in _STORAGES.items()},
+    ("argparse", "Namespace"): Options,
+    ("types", "SimpleNamespace"): Options,
+    ("collections", "defaultdict"): Inert,
+    **{("pathlib", name): Inert for name in ("Path", "PosixPath", "PurePosixPath", "WindowsPath", "PureWindowsPath")},
+    **{("builtins", name): Inert for name in ("dict", "list", "set", "tuple", "int", "float", "str", "bool", "object")},
 }
+"""What the names of a checkpoint stand for. None of it can do anything."""
+
+_NEVER = sys.stdlib_module_names | {"__builtin__", "__main__.__builtins__", "copy_reg", "nt", "posix", "torch", "numpy"}
+"""Packages of which only the names above are read: everything else in them is a tool and no one's settings."""
 
 
 class _Reader(pickle.Unpickler):
-    """Builds containers, numbers, text and tensor records; nothing else."""
+    """Builds containers, numbers, text and tensor records; nothing else.
+
+    Attributes:
+        storages: Key to storage, of every tensor that is described.
+    """
+
+    def __init__(self, program: bytes) -> None:
+        super().__init__(io.BytesIO(program))
+        self.storages: dict[str, Storage] = {}
 
     def find_class(self, module_name: str, global_name: str, /) -> Any:
         """The inert stand-in of a name.
@@ -148,17 +191,24 @@ class _Reader(pickle.Unpickler):
         if global_name == "BaseOptions":
             return Options
         found = _NAMES.get((module_name, global_name))
+        if found is None and module_name.partition(".")[0] not in _NEVER and "." not in global_name:
+            return _OnlyMade(f"{module_name}.{global_name}", (Skipped,), {})
         if found is None:
             raise pickle.UnpicklingError(f"it asks for {module_name}.{global_name}, which a checkpoint has no use for")
         return found
 
-    def persistent_load(self, pid: Any, /) -> _Storage:
-        """A storage by its description ("storage", type, key, location, count)."""
+    def persistent_load(self, pid: Any, /) -> Storage:
+        """A storage by its description ("storage", type, key, location, count), before 1.6 with a view at the end."""
+        if isinstance(pid, tuple) and len(pid) == 6 and pid[5] is None:
+            pid = pid[:5]
         if not (isinstance(pid, tuple) and len(pid) == 5 and pid[0] == "storage" and isinstance(pid[1], torch.dtype)):
             raise pickle.UnpicklingError("an unknown kind of storage")
         if not (isinstance(pid[2], str) and type(pid[4]) is int and pid[4] >= 0):
             raise pickle.UnpicklingError("a storage of impossible size")
-        return _Storage(pid[1], pid[2], pid[4])
+        storage = Storage(pid[1], pid[2], pid[4])
+        if self.storages.setdefault(storage.key, storage) != storage:
+            raise pickle.UnpicklingError("a storage is described in two ways")
+        return storage
 
 
 def _check_program(program: bytes) -> None:
@@ -173,84 +223,18 @@ def _check_program(program: bytes) -> None:
         raise pickle.UnpicklingError("it is empty")
 
 
-class TorchArchive:
-    """A `torch.save` file, open for reading; a context manager.
+def read_program(program: bytes) -> tuple[Any, dict[str, Storage]]:
+    """What a pickle describes, with `TensorRecord`, `Options`, `Skipped` and `Inert` in place of objects.
 
-    Args:
-        path: The file.
-
-    Attributes:
-        content: What was saved, with `TensorRecord`, `Options` and `Inert` in place of objects.
+    Returns:
+        The description, and key to storage of every tensor in it.
 
     Raises:
-        zipfile.BadZipFile, pickle.UnpicklingError, ValueError, OSError: it is damaged, too large,
-            or asks for anything that reading tensors does not need.
+        UnpicklingError: it is damaged, or asks for anything that reading tensors does not need.
     """
-
-    def __init__(self, path: Path) -> None:
-        size = path.stat().st_size
-        if size > MAX_ARCHIVE_BYTES:
-            raise ValueError(f"it is larger than a checkpoint can be ({MAX_ARCHIVE_BYTES >> 20} MiB)")
-        self._zip = zipfile.ZipFile(path)
-        try:
-            self._check_entries(size)
-            with self._zip.open(self._entry("data.pkl")) as file:
-                program = file.read(MAX_PROGRAM_BYTES + 1)
-            if len(program) > MAX_PROGRAM_BYTES:
-                raise ValueError("its description is too long")
-            if "byteorder" in self._entries and self._zip.read(self._entry("byteorder")) != b"little":
-                raise ValueError("it was written on a big-endian machine")
-            _check_program(program)
-            self.content = _Reader(io.BytesIO(program)).load()
-        except (KeyError, TypeError, AttributeError, IndexError, OverflowError, EOFError, RecursionError) as error:
-            self._zip.close()
-            raise pickle.UnpicklingError(f"its description is damaged ({error})") from error
-        except BaseException:
-            self._zip.close()
-            raise
-
-    def _check_entries(self, size: int) -> None:
-        entries = self._zip.infolist()
-        if len(entries) > MAX_ENTRIES:
-            raise ValueError("it holds too many files")
-        if any(entry.compress_type != zipfile.ZIP_STORED for entry in entries):
-            raise ValueError("it is compressed, which torch.save never does")
-        if sum(entry.file_size for entry in entries) > size:
-            raise ValueError("its parts claim to be larger than the whole")
-        programs = [entry for entry in entries if entry.filename.endswith("/data.pkl")]
-        if len(programs) != 1:
-            raise ValueError("it was not written by torch.save of version 1.6 or newer")
-        root = programs[0].filename.removesuffix("data.pkl")
-        self._entries = {entry.filename.removeprefix(root): entry for entry in entries}
-
-    def _entry(self, name: str) -> zipfile.ZipInfo:
-        if name not in self._entries:
-            raise ValueError(f"{name} is missing")
-        return self._entries[name]
-
-    def tensor(self, record: TensorRecord) -> torch.Tensor:
-        """Read a tensor.
-
-        Raises:
-            ValueError: it reaches outside its storage or is larger than it; BadZipFile: damaged.
-        """
-        storage, entry = record.storage, self._entry(f"data/{record.storage.key}")
-        width = torch.empty((), dtype=storage.dtype).element_size()
-        count = math.prod(record.shape)
-        reach = record.offset + sum((n - 1) * step for n, step in zip(record.shape, record.stride, strict=True))
-        if entry.file_size != storage.count * width:
-            raise ValueError(f"data/{storage.key} holds {entry.file_size} bytes where {storage.count * width} are due")
-        if count > storage.count or (count > 0 and reach >= storage.count):
-            raise ValueError(f"a tensor of shape {record.shape} reaches outside its storage")
-        if count == 0:
-            return torch.empty(record.shape, dtype=storage.dtype)
-        numbers = torch.frombuffer(bytearray(self._zip.read(entry)), dtype=storage.dtype)
-        return numbers.as_strided(record.shape, record.stride, record.offset).clone()
-
-    def __enter__(self) -> TorchArchive:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._zip.close()
+    try:
+        _check_program(program)
+        reader = _Reader(program)
+        return reader.load(), reader.storages
+    except (KeyError, TypeError, AttributeError, IndexError, OverflowError, EOFError, RecursionError) as error:
+        raise pickle.UnpicklingError(f"its description is damaged ({error})") from error

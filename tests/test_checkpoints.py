@@ -1,7 +1,10 @@
 from __future__ import annotations
 
+import argparse
 import json
 import os
+import sys
+import types
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -147,7 +150,7 @@ def test_official_checkpoint_is_the_published_network(official: Path) -> None:
 
 def resave(official: Path, path: Path, change: Callable[[dict[str, Any]], Any]) -> Path:
     """A file in the published layout with something changed, without its class-bound options."""
-    from gazenerf.pickles import TorchArchive
+    from gazenerf.archives import TorchArchive
 
     with TorchArchive(official) as archive:
         content = {
@@ -160,23 +163,126 @@ def resave(official: Path, path: Path, change: Callable[[dict[str, Any]], Any]) 
     return path
 
 
+class Executed:
+    """Pickles as a call."""
+
+    def __init__(self, function: Callable[..., Any], *arguments: Any) -> None:
+        self.call = function, arguments
+
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+        return self.call
+
+
+class Callback:
+    """An object that somebody's training saved beside the weights."""
+
+    def __init__(self) -> None:
+        self.best, self.scores = Path("best.ckpt"), [1.0, 2.0]
+
+
+Callback.__module__ = "somebody.callbacks"
+
+
+@pytest.fixture
+def somebody(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A package with `Callback`, so that it can be pickled; reading it must not need the package."""
+    module = types.ModuleType("somebody.callbacks")
+    module.Callback = Callback  # pyright: ignore[reportAttributeAccessIssue]
+    monkeypatch.setitem(sys.modules, "somebody.callbacks", module)
+    monkeypatch.setitem(sys.modules, "somebody", types.ModuleType("somebody"))
+
+
+def save_legacy(content: Any, path: Path) -> None:
+    torch.save(content, path, _use_new_zipfile_serialization=False)
+
+
+FORMS: dict[str, Callable[[dict[str, Any], Path], None]] = {
+    "bare": lambda c, path: torch.save(c["net"], path),
+    "under state_dict": lambda c, path: torch.save({"state_dict": c["net"], "epoch": 3}, path),
+    "under model": lambda c, path: torch.save({"model": c["net"]}, path),
+    "data parallel": lambda c, path: torch.save({"net": {f"module.{n}": v for n, v in c["net"].items()}}, path),
+    "lightning": lambda c, path: torch.save(
+        {"state_dict": {f"model.{n}": v for n, v in c["net"].items()}, "callbacks": {"x": Callback()}}, path
+    ),
+    "before 1.6": save_legacy,
+    "before 1.6, bare": lambda c, path: save_legacy(c["net"], path),
+    "safetensors": lambda c, path: save_file({n: v.contiguous() for n, v in c["net"].items()}, path),
+    "namespace": lambda c, path: torch.save({**c, "args": argparse.Namespace(lr=1e-3, out=Path("x"))}, path),
+    "more than the network": lambda c, path: torch.save({"net": {**c["net"], "loss.vgg.mean": torch.zeros(3)}}, path),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.usefixtures("somebody")
+def test_weights_are_found_in_every_form(official: Path, tmp_path: Path, form: str) -> None:
+    contents: list[dict[str, Any]] = []
+    resave(official, tmp_path / "plain.pth", contents.append)
+    path = tmp_path / "form.bin"
+    FORMS[form](contents[0], path)
+    sys.modules.pop("somebody.callbacks")  # who reads it does not have it
+    found, expected = import_official(path), import_official(tmp_path / "plain.pth")
+    for name, value in expected.field.state_dict().items():
+        assert torch.equal(found.field.state_dict()[name], value), name
+    assert found.ignored == (("loss.vgg.mean",) if form == "more than the network" else ())
+    assert (found.offsets == {}) == (form not in ("before 1.6", "namespace"))
+
+
+HOSTILE: dict[str, Callable[[], Any]] = {
+    "a call": lambda: Executed(os.system, "touch victim"),
+    "a call of somebody's": lambda: Executed(Callback),
+    "getattr": lambda: Executed(getattr, Path("victim"), "touch"),
+}
+
+
+@pytest.mark.parametrize("save", [torch.save, save_legacy])
+@pytest.mark.parametrize("what", HOSTILE)
+@pytest.mark.usefixtures("somebody")
+def test_hostile_files_are_refused_in_every_form(
+    official: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str, save: Callable[[Any, Path], None]
+) -> None:
+    contents: list[dict[str, Any]] = []
+    resave(official, tmp_path / "plain.pth", contents.append)
+    monkeypatch.chdir(tmp_path)
+    for number, content in enumerate(
+        ({"model": contents[0]["net"], "x": HOSTILE[what]()}, {**contents[0]["net"], "x": HOSTILE[what]()})
+    ):
+        path = tmp_path / f"{number}.pth"
+        save(content, path)
+        with pytest.raises(UserError, match="no use for"):
+            import_official(path)
+    assert not (tmp_path / "victim").exists()
+
+
+@pytest.mark.parametrize("step", [61, 4001])
+def test_every_truncation_of_an_old_file_is_refused(official: Path, tmp_path: Path, step: int) -> None:
+    contents: list[dict[str, Any]] = []
+    resave(official, tmp_path / "plain.pth", contents.append)
+    save_legacy({"net": contents[0]["net"]}, tmp_path / "whole.pth")
+    whole = (tmp_path / "whole.pth").read_bytes()
+    for length in [*range(0, 1500, step), *range(1500, len(whole) - 1, len(whole) // 20)]:
+        (tmp_path / "cut.pth").write_bytes(whole[:length])
+        with pytest.raises(UserError, match="cannot import"):
+            import_official(tmp_path / "cut.pth")
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         (lambda c: c["net"]["neural_render.bg_featmap"].fill_(float("nan")), "NaN"),
         (lambda c: c["iden_offset"].fill_(float("nan")), "NaN"),
-        (lambda c: c["net"].pop("neural_render.bg_featmap"), "bg|background"),
+        (lambda c: c["net"].pop("neural_render.bg_featmap"), "no published network"),
+        (lambda c: c["net"].update({"module.neural_render.bg_featmap": torch.zeros(3)}), "several networks"),
+        (lambda c: c["net"].update({"fg_CD_predictor_face.density_module.bias": torch.zeros(1).long()}), "int64"),
         (lambda c: c["net"].pop("fg_CD_predictor_face.density_module.bias"), "missing"),
         (lambda c: c["net"].update({"fg_CD_predictor_face.density_module.bias": torch.zeros(3)}), "needs"),
-        (lambda c: c["net"].update(other=torch.zeros(3)), "unknown"),
         (lambda c: c["net"].update({"neural_render.bg_featmap": torch.zeros(5)}), "cannot import"),
-        (lambda c: c.update(net=3), "no network"),
+        (lambda c: c.update(net=3), "no published network"),
         (lambda c: c["para"].update(num_sample_coarse="many"), "num_sample_coarse"),
         (lambda c: c["para"].update(num_sample_coarse=float("inf")), "num_sample_coarse"),
         (lambda c: c["para"].update(num_sample_coarse=10**9), "samples"),
         (lambda c: c["para"].update(world_z1=-9.0), "z_near"),
         (lambda c: c["para"].update(iden_code_dims=50), "code sizes"),
-        (lambda c: c.update(epoch=Path("x")), "no use for"),
+        (lambda c: c.update(epoch=Executed(os.system, "true")), "no use for"),
     ],
 )
 def test_bad_official_checkpoints_are_one_line(official: Path, tmp_path: Path, change: Any, message: str) -> None:

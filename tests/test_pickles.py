@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 import torch
 
-from gazenerf.pickles import Options, TensorRecord, TorchArchive
+from gazenerf.archives import TorchArchive
+from gazenerf.pickles import Options, TensorRecord
 
 ERRORS = (pickle.UnpicklingError, zipfile.BadZipFile, ValueError)
 

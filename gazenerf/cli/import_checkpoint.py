@@ -21,7 +21,9 @@ class Options:
         out: The field to write.
     """
 
-    official: Path = option(help="the published file, written by torch.save", flag="official", metavar="OFFICIAL")
+    official: Path = option(
+        help="the published file, from torch.save or safetensors", flag="official", metavar="OFFICIAL"
+    )
     out: Path = option(help="the field to write", metavar="FILE.safetensors")
 
 
@@ -44,6 +46,9 @@ def run(options: Options) -> int:
             save_file({name: value.contiguous() for name, value in found.offsets.items()}, temporary)
         rows["learned offsets"] = beside
         rows["training images"] = len(next(iter(found.offsets.values())))
+    if found.ignored:
+        shown = ", ".join(found.ignored[:3]) + (", ..." if len(found.ignored) > 3 else "")
+        rows["ignored"] = f"{len(found.ignored)} tensors that the network has no use for: {shown}"
     config, weights = found.field.config, found.field.state_dict()
     rows |= {
         "streams": ", ".join(found.field.streams),

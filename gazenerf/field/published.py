@@ -49,6 +49,15 @@ def native_name(name: str) -> str | None:
     raise KeyError(name)
 
 
+def is_published(name: str) -> bool:
+    """Whether the published networks have a parameter or constant of this name."""
+    try:
+        native_name(name)
+    except KeyError:
+        return False
+    return True
+
+
 def native_weights(state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     """A published state dict under our names, 1x1 convolutions of the streams as matrices.
 
