@@ -23,7 +23,7 @@ from gazenerf.errors import UserError
 from gazenerf.field.config import FieldConfig
 from gazenerf.field.model import TwoStreamField
 from gazenerf.field.published import config_from_weights, is_published, native_name, native_weights
-from gazenerf.files import whole_file
+from gazenerf.files import check_name, parse_json, whole_file
 from gazenerf.pickles import Options, TensorRecord
 from gazenerf.tensor_files import TensorFileKind, open_tensors
 
@@ -104,12 +104,15 @@ def _expected(config: FieldConfig) -> dict[str, tuple[int, ...]]:
 
 def _load(path: Path) -> TwoStreamField:
     with open_tensors(path, KIND, "pt") as (file, metadata):
-        config = FieldConfig.from_dict(json.loads(metadata["config"]))
-        about = json.loads(metadata["about"])
+        config = FieldConfig.from_dict(parse_json(metadata["config"]))
+        about = parse_json(metadata["about"])
         if not isinstance(about, dict):
             raise ValueError("its provenance is not an object")
         found = {name: tuple(file.get_slice(name).get_shape()) for name in file.keys()}  # noqa: SIM118
         check_shapes(found, config)
+        for name in found:
+            if (kind := file.get_slice(name).get_dtype()) not in ("F64", "F32", "F16", "BF16"):
+                raise ValueError(f"{name} holds {kind} where weights are floating-point numbers")
         weights = {name: file.get_tensor(name).float() for name in found}
     field = field_from_weights(weights, config, str(path))
     field.about = about
@@ -188,6 +191,7 @@ def import_official(path: str | Path) -> OfficialCheckpoint:
         UserError: missing, too large, damaged, malicious, not a published checkpoint, or not finite.
     """
     path = Path(path)
+    check_name(path)
     if not path.is_file():
         raise UserError(f"no published checkpoint at {path}; give the file with its weights")
     try:

@@ -13,9 +13,38 @@ from typing import Any
 
 from gazenerf.errors import UserError
 
+LONGEST_NAME = 255
+"""Bytes that a file's name may have on every common file system."""
+
+
+def check_name(path: str | os.PathLike[str]) -> None:
+    """Refuse a path that no file system can hold, before anything asks the system for it.
+
+    Raises:
+        UserError: it holds a NUL character, or a name in it is too long.
+    """
+    text = os.fspath(path)
+    if "\0" in text:
+        raise UserError(f"the path {text!r} holds a NUL character; choose another name")
+    longest = max((len(os.fsencode(name)) for name in Path(text).parts), default=0)
+    if longest > LONGEST_NAME:
+        raise UserError(f"the path {text[:60]}... holds a name of {longest} bytes; {LONGEST_NAME} are possible")
+
+
+def parse_json(text: str | bytes) -> Any:
+    """The value that untrusted JSON describes.
+
+    Raises:
+        ValueError: it is no JSON, or too deeply nested.
+    """
+    try:
+        return json.loads(text)
+    except RecursionError as error:
+        raise ValueError("it is nested too deeply") from error
+
 
 def read_json(path: Path, most_bytes: int, *, absent: str, large: str) -> Any:
-    """The value in an untrusted JSON file of at most so many bytes.
+    """The value in an untrusted JSON file of at most so many bytes, with or without a byte-order mark.
 
     Args:
         path: The file.
@@ -25,13 +54,14 @@ def read_json(path: Path, most_bytes: int, *, absent: str, large: str) -> Any:
     Raises:
         UserError: it is missing, too large, unreadable, or no JSON.
     """
+    check_name(path)
     try:
         if path.stat().st_size > most_bytes:
             raise UserError(f"{path} is larger than {most_bytes >> 20} MiB; {large}")
-        return json.loads(path.read_text(encoding="utf-8"))
+        return parse_json(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError as error:
         raise UserError(f"{path} does not exist; {absent}") from error
-    except (OSError, ValueError, RecursionError) as error:
+    except (OSError, ValueError) as error:
         raise UserError(f"{path} cannot be read as JSON: {str(error)[:120]}") from error
 
 
@@ -45,9 +75,12 @@ def refuse_existing(paths: Iterable[str | os.PathLike[str]], overwrite: bool) ->
     Raises:
         UserError: one of them is taken.
     """
+    paths = [Path(path) for path in paths]
+    for path in paths:
+        check_name(path)
     if overwrite:
         return
-    for path in map(Path, paths):
+    for path in paths:
         if path.exists() and not (path.is_dir() and not any(path.iterdir())):
             raise UserError(f"{path} exists; add --overwrite or choose another --out")
 
@@ -60,6 +93,7 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
         UserError: the folder cannot be created or written.
     """
     target = Path(path)
+    check_name(target)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(suffix=target.suffix, prefix=f".{target.stem}-", dir=target.parent)
@@ -91,6 +125,7 @@ def whole_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
         UserError: the folder cannot be created or written.
     """
     target = Path(path)
+    check_name(target)
     try:
         target.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(prefix=".writing-", dir=target))

@@ -11,7 +11,7 @@ import numpy as np
 from safetensors.numpy import save_file
 
 from gazenerf.errors import UserError
-from gazenerf.files import whole_file
+from gazenerf.files import check_name, parse_json, whole_file
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.tensor_files import TensorFileKind, open_tensors
 
@@ -117,7 +117,7 @@ class Subject:
         path = Path(path)
         with open_tensors(path, KIND) as (file, metadata):
             keys = set(file.keys())
-            about = json.loads(metadata["subject"])
+            about = parse_json(metadata["subject"])
             codes = Codes(*(file.get_tensor(f"codes.{name}") for name in _CODES))
             head = Codes(*(file.get_tensor(f"head.{name}") for name in _CODES)) if "head.identity" in keys else None
             camera = None if about["camera"] is None else Camera.from_dict(about["camera"])
@@ -144,6 +144,7 @@ def load_subject(name_or_path: str | Path) -> Subject:
     if str(name_or_path) in bundled:
         return Subject.load(bundled[str(name_or_path)])
     path = Path(name_or_path)
+    check_name(path)
     if path.suffix != ".safetensors" and not path.exists():
         names = ", ".join(bundled) or "none"
         raise UserError(f"unknown subject {str(name_or_path)!r}; bundled: {names}; or give a .safetensors file")

@@ -11,6 +11,7 @@ from typing import Any
 from safetensors import SafetensorError, safe_open
 
 from gazenerf.errors import UserError
+from gazenerf.files import check_name
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,7 @@ def open_tensors(path: Path, kind: TensorFileKind, framework: str = "numpy") -> 
     Raises:
         UserError: missing, too large, damaged, or of another format.
     """
+    check_name(path)
     if not path.is_file():
         raise UserError(f"no {kind.file or kind.name} at {path}; {kind.absent}")
     if path.stat().st_size > kind.most_bytes:

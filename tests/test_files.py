@@ -5,7 +5,7 @@ import os
 import pytest
 
 from gazenerf.errors import UserError
-from gazenerf.files import whole_file, whole_folder
+from gazenerf.files import parse_json, read_json, refuse_existing, whole_file, whole_folder
 
 
 def test_a_file_appears_when_it_is_whole(tmp_path):
@@ -76,3 +76,30 @@ def test_a_failure_leaves_the_folder_as_it_was(tmp_path):
         (temporary / "a").write_text("new")
         raise ValueError("stop")
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("a", "old")]
+
+
+def test_json_may_begin_with_a_byte_order_mark(tmp_path):
+    (tmp_path / "a.json").write_text('{"a": 1}', encoding="utf-8-sig")
+    assert read_json(tmp_path / "a.json", 2**20, absent="", large="") == {"a": 1}
+
+
+@pytest.mark.parametrize("text", ["[" * 200_000, '{"a":' * 200_000])
+def test_json_that_is_nested_too_deeply_is_no_recursion_error(text, tmp_path):
+    with pytest.raises(ValueError, match="nested too deeply"):
+        parse_json(text)
+    (tmp_path / "a.json").write_text(text)
+    with pytest.raises(UserError, match="nested too deeply"):
+        read_json(tmp_path / "a.json", 2**22, absent="", large="")
+
+
+@pytest.mark.parametrize("name", ["a\0b.png", "x" * 300 + ".png", "\N{GREEK SMALL LETTER ALPHA}" * 130])
+def test_names_that_no_system_can_hold_are_refused(name, tmp_path):
+    for refuse in (
+        lambda path: refuse_existing([path], True),
+        lambda path: whole_file(path).__enter__(),
+        lambda path: whole_folder(path / "inside").__enter__(),
+        lambda path: read_json(path, 2**20, absent="", large=""),
+    ):
+        with pytest.raises(UserError, match=r"NUL|bytes"):
+            refuse(tmp_path / name)
+    assert list(tmp_path.iterdir()) == []

@@ -24,7 +24,7 @@ from gazenerf.files import refuse_existing, whole_folder
 from gazenerf.geometry import Camera
 from gazenerf.geometry.camera_options import CAMERA, CameraPathOptions
 from gazenerf.geometry.cameras import NEUTRAL_DISTANCE, NEUTRAL_FOV
-from gazenerf.geometry.paths import CAMERA_PATHS
+from gazenerf.geometry.paths import CAMERA_PATHS, check_frames
 from gazenerf.heads.interface import PARTS, BoundField, Part, RenderedView
 from gazenerf.options import option, to_dict
 from gazenerf.progress import Progress, silent
@@ -113,8 +113,7 @@ def rings(
     Raises:
         UserError: fewer than one camera.
     """
-    if frames < 1:
-        raise UserError(f"a dataset needs at least one picture, got --frames {frames}")
+    check_frames(frames)
     counts = [len(part) for part in np.array_split(np.arange(frames), len(RING_PITCHES))]
     return [
         Camera.orbit(

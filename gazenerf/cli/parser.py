@@ -11,8 +11,11 @@ import dataclasses
 import types
 import typing
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar
 
+from gazenerf.errors import UserError
+from gazenerf.files import check_name
 from gazenerf.options import KEY, Option, options_of
 
 T = TypeVar("T")
@@ -91,9 +94,19 @@ def _shape(hint: Any, option: Option) -> dict[str, Any]:
             shape |= {"nargs": "+", "action": "extend"}  # given twice, both count
     if typing.get_origin(inner) is typing.Literal:
         inner = type(typing.get_args(inner)[0])
-    if inner is not str:
+    if inner is Path:
+        shape["type"] = _path
+    elif inner is not str:
         shape["type"] = inner
     return shape
+
+
+def _path(text: str) -> Path:
+    try:
+        check_name(text)
+    except UserError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+    return Path(text)
 
 
 def _without_none(hint: Any) -> Any:

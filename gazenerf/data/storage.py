@@ -21,7 +21,7 @@ from PIL import Image
 from gazenerf.data.arrays import read_stored_arrays
 from gazenerf.data.captures import Capture
 from gazenerf.errors import UserError
-from gazenerf.files import whole_file
+from gazenerf.files import parse_json, whole_file
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.subjects import Codes
 
@@ -82,8 +82,8 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     try:
         if path.stat().st_size > MAX_MANIFEST_BYTES:
             raise ValueError("it is too large")
-        manifest = json.loads(path.read_text())
-    except (OSError, ValueError, RecursionError) as error:
+        manifest = parse_json(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
         raise UserError(f"cannot read {path}: {error}") from error
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
         raise UserError(f"{path} is not a manifest of captures")
@@ -178,7 +178,7 @@ def read_shard(path: Path) -> list[Capture]:
         if path.stat().st_size > MAX_SHARD_BYTES:
             raise ValueError("it is larger than a shard can be")
         arrays = read_stored_arrays(path, most=5 + 4 * SHARD_VIEWS)
-        meta = json.loads(arrays["meta"].tobytes())
+        meta = parse_json(arrays["meta"].tobytes())
         if not isinstance(meta, list) or len(meta) > SHARD_VIEWS:
             raise ValueError(f"it does not describe up to {SHARD_VIEWS} captures")
         return [_capture(arrays, i, about) for i, about in enumerate(meta)]

@@ -81,6 +81,10 @@ class FieldConfig:
             if not condition:
                 raise ValueError(message)
 
+        for name, (low, high) in _RANGES.items():
+            value = getattr(self, name)
+            for number in value if isinstance(value, tuple) else () if value is None else (value,):
+                need(low <= number <= high, f"{name} is {number:g}; {low:g} to {high:g} is possible")
         ratio = self.image_size / max(1, self.feature_size)
         need(
             0 < self.image_size <= MAX_SIZE and 0 < self.feature_size <= MAX_SIZE, "image or feature size out of range"
@@ -139,6 +143,8 @@ class FieldConfig:
         Raises:
             ValueError: unknown, missing or impossible values.
         """
+        if not isinstance(data, dict):
+            raise ValueError(f"a field's settings are an object by name, not a {type(data).__name__}")
         known = {item.name: item for item in dataclasses.fields(cls)}
         if unknown := sorted(set(data) - set(known)):
             raise ValueError(f"unknown field settings: {', '.join(unknown)}")
@@ -159,6 +165,18 @@ class FieldConfig:
         except TypeError as error:
             raise ValueError(str(error)) from error
 
+
+_RANGES: dict[str, tuple[float, float]] = {
+    "metres_per_unit": (1e-6, 1e3),
+    "z_near": (-1e3, 1e3),
+    "z_far": (-1e3, 1e3),
+    "shell": (1e-6, 1e3),
+    "ray_offset": (-1.0, 2.0),
+    "input_gains": (1e-6, 1e6),
+    "eyes_box": (-1e3, 1e3),
+    "trained_gaze_range": (0.0, 90.0),
+}
+"""Lowest and highest value of the numbers that are no counts; NaN lies in none of them."""
 
 _CHOICES: dict[str, tuple[str, ...]] = {
     "streams": ("two", "one"),

@@ -13,7 +13,6 @@ apart by default). A loop returns to the first key, one more average interval af
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -24,7 +23,11 @@ from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from gazenerf.errors import UserError
+from gazenerf.files import read_json
 from gazenerf.geometry.cameras import NEUTRAL_DISTANCE, NEUTRAL_FOV, Camera
+from gazenerf.geometry.paths import check_frames
+
+MAX_BYTES = 2**24
 
 LARGEST_STEP = float(np.deg2rad(175.0))
 """Neighbouring keys must turn less than this, radians: half a turn has no shortest way."""
@@ -70,12 +73,7 @@ def read_keyframes(path: str | Path, fov: float = NEUTRAL_FOV) -> tuple[list[Key
         UserError: missing, not JSON, or a key that places no camera; the message names the key.
     """
     path = Path(path)
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise UserError(f"no keyframe file at {path}") from error
-    except (OSError, ValueError) as error:
-        raise UserError(f"cannot read the keyframes {path}: {error}") from error
+    data = read_json(path, MAX_BYTES, absent="give a JSON file of keyframes", large="no path needs so much")
     keys = data.get("keyframes") if isinstance(data, dict) else data
     if not isinstance(keys, list) or not 2 <= len(keys) <= MOST_KEYS:
         raise UserError(f'{path} needs a list "keyframes" of 2 to {MOST_KEYS} cameras')
@@ -111,8 +109,7 @@ def keyframe_path(
     Raises:
         UserError: no frames, fewer than two keys, or neighbours that turn by half a turn.
     """
-    if frames < 1:
-        raise UserError(f"a path needs at least one frame, got {frames}; give --frames 1 or more")
+    check_frames(frames)
     if len(keys) < 2:
         raise UserError("a keyframe path needs at least two keyframes")
     times = np.array([key.time for key in keys])

@@ -77,14 +77,23 @@ class BeyondTraining:
         return f"gaze {pitch:g} {yaw:g} is beyond what this field was trained on ({self.limits}); expect artefacts"
 
 
+MOST_FRAMES = 100_000
+"""Frames of a path: 55 minutes of video. More is a mistyped number."""
+
+
+def check_frames(frames: int) -> None:
+    """Raise UserError where a path cannot have so many frames."""
+    if not 1 <= frames <= MOST_FRAMES:
+        raise UserError(f"a path has 1 to {MOST_FRAMES} frames, got {frames}; give another --frames")
+
+
 def phases(frames: int) -> np.ndarray:
     """(frames,) angles 2 pi i / frames of a loop, the end left out.
 
     Raises:
         UserError: fewer than one frame.
     """
-    if frames < 1:
-        raise UserError(f"a path needs at least one frame, got {frames}; give --frames 1 or more")
+    check_frames(frames)
     return 2.0 * np.pi * np.arange(frames) / frames
 
 

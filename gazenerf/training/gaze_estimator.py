@@ -16,7 +16,7 @@ from safetensors.torch import save_file
 from torch import nn
 from torch.nn import functional as F
 
-from gazenerf.files import whole_file
+from gazenerf.files import parse_json, whole_file
 from gazenerf.tensor_files import TensorFileKind, open_tensors
 
 FORMAT = "gazenerf-gaze-estimator-1"
@@ -152,7 +152,7 @@ def load_gaze_estimator(path: str | Path | None = None) -> GazeEstimator:
     """
     path = BUNDLED if path is None else Path(path)
     with open_tensors(path, KIND, "pt") as (file, metadata):
-        about = json.loads(metadata["about"])
+        about = parse_json(metadata["about"])
         weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         estimator = GazeEstimator()
         for name, value in weights.items():

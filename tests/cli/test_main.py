@@ -87,6 +87,8 @@ def test_commands_that_render_share_their_source(name):
         (["orbit"], "--out"),
         (["orbit", "--out", "x.mp4", "--gaze", "ten", "0"], "--gaze"),
         (["orbit", "--out", "x.mp4", "--smell"], "--smell"),
+        (["orbit", "--out", f"{'x' * 300}.mp4"], "304 bytes"),
+        (["mesh", "--out", "a\0b"], "NUL"),
         (["completion", "cmd"], "invalid choice: 'cmd'"),
     ],
 )

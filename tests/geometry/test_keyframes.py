@@ -68,7 +68,8 @@ def test_positions_and_times(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("{", "cannot read"),
+        ("{", "cannot be read as JSON"),
+        ("[" * 200_000, "nested too deeply"),
         ("[1]", "2 to"),
         ('{"keyframes": 4}', "2 to"),
         ('[{"yaw": 0}, {"distance": 3}]', "keyframe 1"),
@@ -90,7 +91,7 @@ def test_bad_files_are_one_line(tmp_path, text, message):
 
 
 def test_missing_file_half_turn_and_no_frames(tmp_path):
-    with pytest.raises(UserError, match="no keyframe file"):
+    with pytest.raises(UserError, match="does not exist"):
         read_keyframes(tmp_path / "none.json")
     keys, _ = keys_from(tmp_path, {"yaw": 0}, {"yaw": 180})
     with pytest.raises(UserError, match="put one between"):

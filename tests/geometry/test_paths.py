@@ -75,7 +75,7 @@ def test_the_dolly_reaches_both_ends_and_nothing_more():
         P.dolly(4, near=5.0, far=5.0)
 
 
-@pytest.mark.parametrize("frames", [0, -3])
+@pytest.mark.parametrize("frames", [0, -3, 10**11])
 def test_no_frames_is_the_users_mistake(frames):
     for name in P.CAMERA_PATHS:
         with pytest.raises(UserError, match="--frames"):
