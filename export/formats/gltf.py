@@ -129,8 +129,13 @@ class _Writer:
             "max": values.max(axis=0).tolist(),
             "sparse": {
                 "count": len(rows),
-                "indices": {"bufferView": self.view(rows.astype("<u4").tobytes()), "componentType": UINT32},
-                "values": {"bufferView": self.view(values[rows].tobytes())},
+                # VTK's reader allocates without end where the offsets, 0 by default, are left out
+                "indices": {
+                    "bufferView": self.view(rows.astype("<u4").tobytes()),
+                    "byteOffset": 0,
+                    "componentType": UINT32,
+                },
+                "values": {"bufferView": self.view(values[rows].tobytes()), "byteOffset": 0},
             },
         }
         self.tree["accessors"].append(entry)

@@ -55,6 +55,7 @@ class Options(CheckOptions, ReportArguments, GazeArguments, SourceArguments):
     Attributes:
         frames: A folder of pictures to measure instead of a field.
         compare: Two reports to put side by side instead.
+        list_metrics: Print what can be measured instead.
     """
 
     frames: Path | None = option(
@@ -66,13 +67,33 @@ class Options(CheckOptions, ReportArguments, GazeArguments, SourceArguments):
         metavar=("A", "B"),
         only_one="what",
     )
+    list_metrics: bool = option(False, "print every metric's name and meaning instead", only_one="what")
 
 
 def run(options: Options) -> int:
     """Measure, write, report; 1 when a threshold is crossed."""
+    if options.list_metrics:
+        return _list_metrics()
     if options.compare is not None:
         return _compare(options, options.compare)
     return _check_field(options) if options.frames is None else _check_frames(options, options.frames)
+
+
+def _list_metrics() -> int:
+    """Print the metrics of both checks, by the names that reports and --fail-on use."""
+    from rich.console import Console
+    from rich.table import Column, Table
+
+    from gazenerf.viz.metrics.families import CHECK_DEFINITIONS, FRAMES_DEFINITIONS
+
+    console = Console()
+    for title, definitions in (("gazenerf check", CHECK_DEFINITIONS), ("gazenerf check --frames", FRAMES_DEFINITIONS)):
+        table = Table(Column("metric", no_wrap=True), "unit", "passes", "what it says", title=title)
+        for one in definitions:
+            sign = ">=" if one.higher_is_better else "<="
+            table.add_row(one.name, one.unit, f"{sign} {one.passes:g}", one.meaning)
+        console.print(table)
+    return 0
 
 
 def measure(options: Options, head: Head, progress: Progress) -> tuple[CheckResult, dict[str, Path]]:

@@ -18,6 +18,7 @@ from gazenerf.head_model import load_head_model
 from gazenerf.head_model.shading import sample_illumination
 from gazenerf.heads.analytic import AnalyticField, AnalyticHead, analytic_subject
 from gazenerf.subjects import Codes, Subject
+from gazenerf.viz.metrics.families import ALL
 from gazenerf.viz.reference.views import RENDERERS, usable
 from tests.textured_double import TexturedField
 
@@ -63,6 +64,13 @@ def folder(tmp_path_factory):
         frame["file_path"] = f"{i}.png"
     (path / "transforms.json").write_text(json.dumps(data))
     return path
+
+
+def test_metrics_are_listed_by_the_names_of_reports(capsys):
+    assert check.run(arguments("--list-metrics")) == 0
+    printed = capsys.readouterr().out
+    assert all(f" {one.name} " in printed for one in ALL)
+    assert " ".join(ALL[0].meaning.split()[:3]) in printed
 
 
 def test_exit_codes_follow_the_thresholds(with_head, tmp_path, capsys):

@@ -92,9 +92,9 @@ def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float = 25.
         return _write_png(path, checked)
     with whole_file(path) as temporary:
         if kind == ".mp4":
-            tags = ["-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709"]
-            matrix = ["-vf", "scale=out_color_matrix=bt709:out_range=tv"]
-            output = ["-crf", str(crf), "-preset", "slow", *matrix, *tags, "-movflags", "+faststart"]
+            tags = "setparams=colorspace=bt709:color_primaries=bt709:color_trc=bt709"
+            matrix = ["-vf", f"scale=out_color_matrix=bt709:out_range=tv,{tags}"]
+            output = ["-crf", str(crf), "-preset", "slow", *matrix, "-movflags", "+faststart"]
             _encode(temporary, checked, (width, height), fps, "libx264", "yuv420p", output)
         elif kind == ".gif":
             palette = "[0:v]split[a][b];[a]palettegen=stats_mode=full[p];[b][p]paletteuse=dither=sierra2_4a"

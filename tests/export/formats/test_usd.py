@@ -50,7 +50,7 @@ def test_what_is_read_back_is_what_was_put_in(package):
     stage = Usd.Stage.Open(str(package))
     assert UsdGeom.GetStageUpAxis(stage) == "Y" and UsdGeom.GetStageMetersPerUnit(stage) == 1.0
     assert stage.GetDefaultPrim().GetPath() == "/head"
-    face = UsdGeom.Mesh(stage.GetPrimAtPath("/head/face/mesh"))
+    face = UsdGeom.Mesh(stage.GetPrimAtPath("/head/face/face"))
     assert np.allclose(np.ptp(np.array(face.GetPointsAttr().Get()), axis=0), [0.1, 0.2, 0.3])
     colour = np.array(face.GetDisplayColorAttr().Get())[0]
     assert np.allclose(colour, [0.2159, 0.0513, 0.0144], atol=1e-3)  # linear light
@@ -59,7 +59,7 @@ def test_what_is_read_back_is_what_was_put_in(package):
     assert np.allclose(turned[:3, 3], [0.03, 0.01, 0.09])
     assert np.allclose(turned[:3, :3] @ [0, 0, 1], [1, 0, 0], atol=1e-6)
     assert stage.GetEndTimeCode() == RATE
-    material, _ = UsdShade.MaterialBindingAPI(stage.GetPrimAtPath("/head/eye_left/mesh")).ComputeBoundMaterial()
+    material, _ = UsdShade.MaterialBindingAPI(stage.GetPrimAtPath("/head/eye_left/eye_left")).ComputeBoundMaterial()
     surface = material.ComputeSurfaceSource()[0]
     assert surface.GetInput("metallic").Get() == 0.0
     assert zipfile.ZipFile(package).namelist()[0].endswith(".usdc") and any(
@@ -80,7 +80,7 @@ def test_the_validators_of_usd_have_nothing_to_say(package):
     stage = Usd.Stage.Open(str(package))
     assert complaints(stage) == []
     stage.SetEditTarget(stage.GetSessionLayer())
-    stage.GetPrimAtPath("/head/face/mesh").RemoveAPI(UsdShade.MaterialBindingAPI)
+    stage.GetPrimAtPath("/head/face/face").RemoveAPI(UsdShade.MaterialBindingAPI)
     assert complaints(stage)
 
 
@@ -93,7 +93,7 @@ def test_meshes_and_rig_are_written_as_usdz(tmp_path, monkeypatch):
     for name in ("face", "eyes", "rig"):
         stage = Usd.Stage.Open(str(tmp_path / f"{name}.usdz"))
         assert stage.GetDefaultPrim().IsValid()
-    assert stage.GetPrimAtPath("/head/eye_right/mesh").IsValid()
+    assert stage.GetPrimAtPath("/head/eye_right/eye_right").IsValid()
 
 
 def test_without_usd_core_the_fix_is_named_before_anything_is_done(tmp_path, monkeypatch):

@@ -130,6 +130,7 @@ def test_the_file_holds_turning_eyes_and_a_following_face(parts, scene):
     assert np.allclose(turns, [quaternion(gaze) for gaze in GAZES], atol=1e-6)
     assert np.allclose(values(channels["face", "weights"]["input"], 1)[:, 0], np.arange(3) / FPS)
     entry = tree["accessors"][targets[2]["POSITION"]]
+    assert entry["sparse"]["indices"]["byteOffset"] == entry["sparse"]["values"]["byteOffset"] == 0
     rows = tree["bufferViews"][entry["sparse"]["indices"]["bufferView"]]
     index = np.frombuffer(binary, "<u4", entry["sparse"]["count"], rows["byteOffset"])
     offsets = tree["bufferViews"][entry["sparse"]["values"]["bufferView"]]
