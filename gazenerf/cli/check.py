@@ -59,7 +59,7 @@ class Options(CheckOptions, ReportArguments, GazeArguments, SourceArguments):
     """
 
     frames: Path | None = option(
-        None, "measure a folder of pictures with a transforms.json or a COLMAP model instead", metavar="DIR", only_one="what"
+        None, "measure a folder of pictures with a transforms.json or a COLMAP model", metavar="DIR", only_one="what"
     )
     compare: tuple[Path, Path] | None = option(
         None,
