@@ -26,7 +26,7 @@ def test_a_run_goes_on_where_it_was_and_is_measured_once(tmp_path, monkeypatch):
         return options.out / "field.safetensors"
 
     monkeypatch.setattr(variants, "train_field", train)
-    values = {name: 1.0 for name in variants.ROWS}
+    values = dict.fromkeys(variants.ROWS, 1.0)
     monkeypatch.setattr(variants, "measure", lambda field, options: {"trained": values, "unseen": values})
     (tmp_path / "none-2").mkdir()
     (tmp_path / "none-2" / "state.pt").touch()
