@@ -145,6 +145,12 @@ def _frames(
     for name, (view, times) in paths.items():
         taken = median_seconds(partial(_render, view, views), device, times)
         seconds[name] = {"seconds": taken, "frames_per_second": 1.0 / taken}
+    for name, gaze in (("baked, together", GAZE), ("baked, together, gaze held", Gaze())):
+        started = time.perf_counter()
+        baked.render_together([(baked.at(gaze), camera) for camera in views])
+        wait(device)
+        taken = (time.perf_counter() - started) / len(views)
+        seconds[name] = {"seconds": taken, "frames_per_second": 1.0 / taken}
     return seconds
 
 

@@ -10,12 +10,16 @@ therefore exact, and only the little that the gaze changes in the rest of the fa
 from __future__ import annotations
 
 import time
+import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import torch
 import torch.nn.functional as F
 
+from gazenerf.devices import is_out_of_memory
 from gazenerf.errors import UserError
 from gazenerf.field.compositing import composite
 from gazenerf.field.sampling import shell_samples
@@ -31,6 +35,9 @@ from gazenerf.heads.render import composite_near
 
 FAINT = 1e-3
 """Samples of less weight are left out; the others share theirs."""
+
+MOST_PIXELS = 16 * 512**2
+"""Picture pixels drawn in one pass on a GPU: 16 frames of 512 px. Fewer where its memory does not do."""
 
 CORNERS = torch.tensor([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
 
@@ -157,6 +164,7 @@ class BakedHead:
 
     def __init__(self, head: Head, baked: Bake) -> None:
         self.head, self.baked, self.subject = head, baked, head.subject
+        self._most_pixels = MOST_PIXELS
 
     @property
     def report(self) -> BakeReport:
@@ -176,6 +184,48 @@ class BakedHead:
     def at(self, gaze: Gaze) -> BakedBoundHead:
         """The same bake with the eyes turned; binds the gaze."""
         return BakedBoundHead(self.baked, self.head.at(gaze))
+
+    def render_together(self, views: Sequence[tuple[BakedBoundHead, Camera]]) -> list[RenderedView]:
+        """The head in several views, as many in one pass as memory allows.
+
+        Args:
+            views: From `at`, each with its camera; the cameras have one size.
+        """
+        done: list[RenderedView] = []
+        while len(done) < len(views):
+            some = views[len(done) : len(done) + self.frames_at_once(views[0][1])]
+            bounds, cameras = [bound for bound, _ in some], [camera for _, camera in some]
+            try:
+                if len(some) == 1:
+                    drawn = self.head.within_memory(partial(draw_together, bounds, cameras))
+                else:
+                    drawn = draw_together(bounds, cameras)
+            except RuntimeError as error:
+                if len(some) == 1 or not is_out_of_memory(error):
+                    raise
+                self._draw_less(some[0][1], len(some))
+                continue
+            done += [
+                RenderedView(camera, {"head": image}, {"head": geometry})
+                for camera, (image, geometry) in zip(cameras, drawn, strict=True)
+            ]
+        return done
+
+    def frames_at_once(self, camera: Camera) -> int:
+        """How many pictures of a camera's size are drawn in one pass; 1 on a CPU, which draws one on each core."""
+        if self.device.type == "cpu":
+            return 1
+        return max(1, self._most_pixels // (camera.width * camera.height))
+
+    def _draw_less(self, camera: Camera, tried: int) -> None:
+        """Half as many pictures a pass from now on, which is said."""
+        self._most_pixels = (tried // 2) * camera.width * camera.height
+        warnings.warn(
+            f"the GPU's memory is short for {tried} frames at once; going on with {self.frames_at_once(camera)}",
+            stacklevel=4,
+        )
+        if torch.cuda.is_available():
+            torch.cuda.empty_cache()
 
 
 class BakedBoundHead:
@@ -226,43 +276,75 @@ class BakedBoundHead:
         return RenderedView(camera, {part: images[part] for part in parts}, geometry)
 
     def _render_head(self, camera: Camera) -> tuple[np.ndarray, GeometryView]:
-        head = self.bound.head
-        grid = FeatureGrid.of(camera, head.field.config, head.device)
-        with head.quickly():
-            background = head.field.renderer.background(*grid.shape)[0].flatten(1).T.float()
-            found = self._composited(grid.rays_o, grid.rays_d, background)
-            seen = grid.smooth_outline(self._composited, background, found, cut=True)
-            picture = head.picture(seen, grid.shape)
-        return to_picture(picture, camera), grid.geometry(seen)
+        return draw_together([self], [camera])[0]
 
-    def _composited(
-        self, rays_o: torch.Tensor, rays_d: torch.Tensor, background: torch.Tensor, window: Window | None = None
+
+def draw_together(bounds: Sequence[BakedBoundHead], cameras: Sequence[Camera]) -> list[tuple[np.ndarray, GeometryView]]:
+    """Pictures of one baked head and their geometry, computed in one pass.
+
+    Args:
+        bounds: One for each picture, all of one bake; the same where gazes are the same.
+        cameras: One for each picture, all of one size.
+    """
+    head, rays = bounds[0].bound.head, _BakedRays(bounds)
+    grid = FeatureGrid.of(cameras[0], head.field.config, head.device, *cameras[1:])
+    with head.quickly():
+        background = head.field.renderer.background(*grid.shape)[0].flatten(1).T.float()
+        background = background if len(cameras) == 1 else background.repeat(len(cameras), 1)
+        found = rays.composited(grid.rays_o, grid.rays_d, background, None, grid.pictures)
+        seen = grid.smooth_outline(rays.composited, background, found, cut=True)
+        pictures = head.pictures(seen, grid.shape)
+    images = [to_picture(picture, camera) for picture, camera in zip(pictures, cameras, strict=True)]
+    return list(zip(images, grid.geometry(seen), strict=True))
+
+
+class _BakedRays:
+    """What rays of several pictures see of a baked head, each picture at its own gaze.
+
+    Args:
+        bounds: One for each picture, all of one bake.
+    """
+
+    def __init__(self, bounds: Sequence[BakedBoundHead]) -> None:
+        self.bounds, self.baked = bounds, bounds[0].baked
+        self.config = bounds[0].bound.field.config
+
+    def composited(
+        self,
+        rays_o: torch.Tensor,
+        rays_d: torch.Tensor,
+        background: torch.Tensor,
+        window: Window | None,
+        pictures: torch.Tensor,
     ) -> RayFeatures:
-        """What rays see, and a second surface where the first one lets light through."""
+        """What rays see, and a second surface where the first one lets light through; see `feature_map.Composite`."""
 
         def look(rays: torch.Tensor, where: Window) -> RayFeatures:
-            return self._first_surface(rays_o[rays], rays_d[rays], background[rays], where[0])
+            return self._first_surface(rays_o[rays], rays_d[rays], background[rays], pictures[rays], where[0])
 
-        return add_behind(self._first_surface(rays_o, rays_d, background), background, look)
+        return add_behind(self._first_surface(rays_o, rays_d, background, pictures), background, look)
 
     def _first_surface(
         self,
         rays_o: torch.Tensor,
         rays_d: torch.Tensor,
         background: torch.Tensor,
+        pictures: torch.Tensor,
         start: torch.Tensor | None = None,
     ) -> RayFeatures:
         """What rays see of the first surface from a distance `start` (R,) on."""
-        config, density = self.bound.field.config, self.baked.density
+        config, density = self.config, self.baked.density
         features, opacity = background.clone(), rays_o.new_zeros(len(rays_o))
         distance = rays_o.new_full((len(rays_o),), torch.nan)
         surface, hit = density.first_surface(rays_o, rays_d, start)
-        if not self.held:
+        if turned := [(i, one.bound) for i, one in enumerate(self.bounds) if not one.held]:
             near = self.baked.eyes.at(rays_o + surface.nan_to_num()[:, None] * rays_d) & hit
-            live, hit = near.nonzero()[:, 0], hit & ~near
-            features[live], opacity[live], distance[live] = composite_near(
-                self.bound, rays_o[live], rays_d[live], surface[live], background[live]
-            )[:3]
+            for i, bound in turned:
+                here = near if len(self.bounds) == 1 else near & (pictures == i)
+                live, hit = here.nonzero()[:, 0], hit & ~here
+                features[live], opacity[live], distance[live] = composite_near(
+                    bound, rays_o[live], rays_d[live], surface[live], background[live]
+                )[:3]
         rays = hit.nonzero()[:, 0]
         t, deltas = shell_samples(surface[rays], config.shell, config.shell_samples)
         points = rays_o[rays, None] + t[..., None] * rays_d[rays, None]

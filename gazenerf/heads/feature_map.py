@@ -24,8 +24,9 @@ class RayFeatures(NamedTuple):
         opacity: (R,).
         distance: (R,) expected, world units; NaN without a surface.
         end: (R,) distance up to which the ray was sampled; NaN without a surface, None where it does not matter.
-        matte: (2 h, 2 w) of a whole feature map: share of the head in each quarter of a feature pixel. Where it is
-            given, features go on a little beyond the outline, and the picture is cut out by it.
+        matte: (2 h, 2 w) of a whole feature map, (B, 2 h, 2 w) of several: share of the head in each quarter of a
+            feature pixel. Where it is given, features go on a little beyond the outline, and the picture is cut out
+            by it.
     """
 
     features: torch.Tensor
@@ -68,8 +69,9 @@ def add_behind(
     return front
 
 
-Composite = Callable[[torch.Tensor, torch.Tensor, torch.Tensor, Window], RayFeatures]
-"""Rays (R, 3), (R, 3), background features (R, C) and where their surface may be, to what is seen along them."""
+Composite = Callable[[torch.Tensor, torch.Tensor, torch.Tensor, Window, torch.Tensor], RayFeatures]
+"""Rays (R, 3), (R, 3), background features (R, C), where their surface may be, and the number (R,) of the picture that
+each belongs to, to what is seen along them."""
 
 BESIDE = (0.15, 0.35)
 """World units before and behind the surfaces of a feature pixel and its neighbours that its finer rays may meet:
@@ -102,36 +104,64 @@ CROSS = ((3, 1), (1, 3))
 
 @dataclass(frozen=True)
 class FeatureGrid:
-    """Rays of the feature map of a picture.
+    """Rays of the feature maps of B pictures of one size.
 
     Attributes:
-        camera: At the feature map's size.
+        cameras: At the feature map's size.
         grid: (h, w, 2) image coordinates of the rays.
-        rays_o, rays_d: (h * w, 3), x fastest.
+        rays_o, rays_d: (B * h * w, 3), picture after picture, x fastest.
     """
 
-    camera: Camera
+    cameras: tuple[Camera, ...]
     grid: np.ndarray
     rays_o: torch.Tensor
     rays_d: torch.Tensor
 
     @classmethod
-    def of(cls, camera: Camera, config: FieldConfig, device: torch.device | str = "cpu") -> FeatureGrid:
-        """The grid behind a picture of the camera's size; at least 2 x 2, rounded up to whole feature pixels."""
+    def of(cls, camera: Camera, config: FieldConfig, device: torch.device | str = "cpu", *more: Camera) -> FeatureGrid:
+        """The grid behind a picture of the camera's size; at least 2 x 2, rounded up to whole feature pixels.
+
+        Args:
+            camera: Of the picture.
+            config: Of the field.
+            device: Where the rays lie.
+            more: Cameras of further pictures of the same size.
+        """
         k = config.upsampling
         columns, rows = max(2, -(-camera.width // k)), max(2, -(-camera.height // k))
-        small = camera.resized(columns, rows)
+        small = tuple(one.resized(columns, rows) for one in (camera, *more))
         grid = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1) + config.ray_offset
-        return cls(small, grid, *camera_rays(small, grid, device))
+        if not more:
+            return cls(small, grid, *camera_rays(small[0], grid, device))
+        origins, directions = zip(*(camera_rays(one, grid, device) for one in small), strict=True)
+        return cls(small, grid, torch.cat(origins), torch.cat(directions))
 
     @property
     def shape(self) -> tuple[int, int]:
         """(h, w)."""
         return self.grid.shape[0], self.grid.shape[1]
 
+    @property
+    def pictures(self) -> torch.Tensor:
+        """(B * h * w,) the number of the picture that each ray belongs to."""
+        count = self.shape[0] * self.shape[1]
+        return torch.arange(len(self.cameras), device=self.rays_o.device).repeat_interleave(count)
+
+    def rays_within(self, outline: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Four rays (4 E, 3), (4 E, 3) in each of some feature pixels (E,), ascending, and their pictures (4 E,)."""
+        count = self.shape[0] * self.shape[1]
+        places = outline.cpu().numpy()
+        inner = self.grid.reshape(-1, 2)[places % count, None] + INSIDE
+        picture, device = places // count, self.rays_o.device
+        numbers = (outline // count).repeat_interleave(len(INSIDE))
+        if len(self.cameras) == 1:
+            return *camera_rays(self.cameras[0], inner, device), numbers
+        found = [camera_rays(camera, inner[picture == i], device) for i, camera in enumerate(self.cameras)]
+        return torch.cat([rays[0] for rays in found]), torch.cat([rays[1] for rays in found]), numbers
+
     def outline(self, opacity: torch.Tensor) -> torch.Tensor:
-        """(E,) indices of the feature pixels on an outline of opacity (h * w,)."""
-        solid = (opacity >= 0.5).reshape(1, 1, *self.shape).float()
+        """(E,) indices of the feature pixels on an outline of opacity (B * h * w,)."""
+        solid = (opacity >= 0.5).reshape(-1, 1, *self.shape).float()
 
         def most(values: torch.Tensor) -> torch.Tensor:
             """The largest of each pixel and the four beside it."""
@@ -150,7 +180,7 @@ class FeatureGrid:
 
         Args:
             composite: What is seen along rays.
-            background: (h * w, C).
+            background: (B * h * w, C).
             found: One ray per feature pixel.
             cut: Leave the outline to a matte instead of mixing head and background in features, which the
                 up-sampler has not learned and draws as stairs, too.
@@ -160,10 +190,11 @@ class FeatureGrid:
         if not len(outline):
             return found
         solid = opacity >= 0.5
-        inner = self.grid.reshape(-1, 2)[outline.cpu().numpy(), None] + INSIDE
-        rays_o, rays_d = camera_rays(self.camera, inner, background.device)
+        rays_o, rays_d, pictures = self.rays_within(outline)
         window = self._beside(distance)[:, outline].repeat_interleave(4, dim=1)
-        fine = composite(rays_o, rays_d, background[outline].repeat_interleave(4, dim=0), (window[0], window[1]))
+        fine = composite(
+            rays_o, rays_d, background[outline].repeat_interleave(4, dim=0), (window[0], window[1]), pictures
+        )
         features[outline] = fine.features.reshape(len(outline), 4, -1).mean(1)
         quarters = fine.opacity.reshape(-1, 4)
         opacity[outline] = quarters.mean(1)
@@ -171,11 +202,13 @@ class FeatureGrid:
             return found
         near = torch.zeros_like(solid)
         near[outline] = True
-        near = grown(near.reshape(self.shape), BAND)
+        near = grown(near.reshape(-1, *self.shape), BAND)
         matte = torch.where(near.flatten(), solid.float(), (opacity > FAINT).float())
         matte = matte[:, None].repeat(1, 4)
         matte[outline] = quarters.to(matte.dtype)
-        matte = F.pixel_shuffle(matte.T.reshape(1, 4, *self.shape), 2)[0, 0]
+        quarters = matte.reshape(-1, *self.shape, 4).permute(0, 3, 1, 2)
+        matte = F.pixel_shuffle(quarters, 2)[:, 0]
+        matte = matte[0] if len(matte) == 1 else matte
         return found._replace(features=self._beyond(features, opacity, background, outline, near), matte=matte)
 
     def _beyond(
@@ -186,15 +219,15 @@ class FeatureGrid:
         outline: torch.Tensor,
         near: torch.Tensor,
     ) -> torch.Tensor:
-        """(h * w, C) features that near an outline (h, w) are the head's own, on either side of it."""
+        """(B * h * w, C) features that near an outline (B, h, w) are the head's own, on either side of it."""
         known = opacity >= 0.5
         known[outline] = opacity[outline] >= PURE
         pure = features.clone()
         alpha = opacity[outline].clamp(min=PURE)[:, None]
         pure[outline] = background[outline] + (features[outline] - background[outline]) / alpha
         rows, columns = self.shape
-        values = F.pad(pure.reshape(rows, columns, -1), (0, 0, 1, 1, 1, 1)).flatten(0, 1)
-        known, wanted = (F.pad(mask, (1, 1, 1, 1)).flatten() for mask in (known.reshape(self.shape), near))
+        values = F.pad(pure.reshape(-1, rows, columns, pure.shape[1]), (0, 0, 1, 1, 1, 1)).flatten(0, 2)
+        known, wanted = (F.pad(mask, (1, 1, 1, 1)).flatten() for mask in (known.reshape(near.shape), near))
         around = torch.tensor([y * (columns + 2) + x for y in (-1, 0, 1) for x in (-1, 0, 1)], device=known.device)
         for _ in range(BEYOND):
             beside = (wanted & ~known).nonzero() + around
@@ -205,35 +238,38 @@ class FeatureGrid:
             here = beside[:, len(around) // 2]
             values[here] = (values[beside] * share[..., None]).sum(1) / total[:, None]
             known[here] = True
-        return values.reshape(rows + 2, columns + 2, -1)[1:-1, 1:-1].flatten(0, 1)
+        values = values.reshape(-1, rows + 2, columns + 2, values.shape[1])
+        return values[:, 1:-1, 1:-1].flatten(0, 2)
 
-    def geometry(self, seen: RayFeatures) -> GeometryView:
-        """Opacity and distance of every feature pixel."""
-        opacity, distance = (values.reshape(self.shape).cpu().numpy() for values in (seen.opacity, seen.distance))
-        return GeometryView(self.camera, opacity, distance)
+    def geometry(self, seen: RayFeatures) -> list[GeometryView]:
+        """Opacity and distance of every feature pixel, a view for each picture."""
+        opacity, distance = (values.reshape(-1, *self.shape).cpu().numpy() for values in (seen.opacity, seen.distance))
+        return [GeometryView(*view) for view in zip(self.cameras, opacity, distance, strict=True)]
 
     def _beside(self, distance: torch.Tensor) -> torch.Tensor:
-        """(2, h * w) window around the distances of each feature pixel and its eight neighbours."""
-        far = distance.nan_to_num(-torch.inf).reshape(1, 1, *self.shape)
-        near = (-distance).nan_to_num(-torch.inf).reshape(1, 1, *self.shape)
-        grown = F.max_pool2d(torch.cat([near, far], dim=1), 3, stride=1, padding=1)[0].flatten(1)
+        """(2, B * h * w) window around the distances of each feature pixel and its eight neighbours."""
+        far = distance.nan_to_num(-torch.inf).reshape(-1, 1, *self.shape)
+        near = (-distance).nan_to_num(-torch.inf).reshape(-1, 1, *self.shape)
+        grown = F.max_pool2d(torch.cat([near, far], dim=1), 3, stride=1, padding=1).transpose(0, 1).flatten(1)
         return torch.stack([-grown[0] - BESIDE[0], grown[1] + BESIDE[1]])
 
 
 def grown(mask: torch.Tensor, by: int) -> torch.Tensor:
-    """(h, w) bool: the pixels of a mask, and those at most so many from one of them along each axis."""
-    return F.max_pool2d(mask[None, None].float(), 2 * by + 1, stride=1, padding=by)[0, 0] > 0
+    """(..., h, w) bool: the pixels of masks, and those at most so many from one of them along each axis."""
+    whole = mask.reshape(-1, 1, *mask.shape[-2:]).float()
+    return (F.max_pool2d(whole, 2 * by + 1, stride=1, padding=by) > 0).reshape(mask.shape)
 
 
 def cut_out(picture: torch.Tensor, behind: torch.Tensor, matte: torch.Tensor) -> torch.Tensor:
-    """A picture (3, H, W) where a matte (2 h, 2 w) is, over the picture behind (3, H, W).
+    """A picture (3, H, W) where a matte (2 h, 2 w) is, over the picture behind (3, H, W); or B of both over the latter.
 
     The matte is smoothed and sharpened again, so that its contour is a line and not a row of squares.
     """
-    rows = F.pad(matte[None, None].float(), (1, 1, 1, 1), mode="replicate")
+    rows = F.pad(matte.reshape(-1, 1, *matte.shape[-2:]).float(), (1, 1, 1, 1), mode="replicate")
     smooth = F.avg_pool2d(F.avg_pool2d(rows, 2, stride=1), 2, stride=1)
-    share = F.interpolate(smooth, size=picture.shape[1:], mode="bilinear", align_corners=False)[0]
-    slope = max(0.5 / (1.0 - EDGE), CONTRAST * 2.0 * picture.shape[1] / matte.shape[0])
+    share = F.interpolate(smooth, size=picture.shape[-2:], mode="bilinear", align_corners=False)
+    share = share if picture.dim() == 4 else share[0]
+    slope = max(0.5 / (1.0 - EDGE), CONTRAST * 2.0 * picture.shape[-2] / matte.shape[-2])
     return torch.lerp(behind, picture, ((share - EDGE) * slope + 0.5).clamp(0.0, 1.0))
 
 

@@ -55,7 +55,7 @@ def render_parts(bound: BoundHead, camera: Camera, parts: tuple[Part, ...]) -> R
             if part == "eyes" and config.eyes_box is not None:
                 picture = _on_background(bound, picture, seen.opacity.reshape(grid.shape))
             images[part] = to_picture(picture, camera)
-            geometry[part] = grid.geometry(seen)
+            geometry[part] = grid.geometry(seen)[0]
     return RenderedView(camera, images, geometry)
 
 
@@ -98,7 +98,7 @@ def _feature_map(
         return composite_rays(bound, grid.rays_o, grid.rays_d, streams, background, sparse=False)
     found = _with_what_is_behind(bound, found, grid.rays_o, grid.rays_d, streams, background)
     return grid.smooth_outline(
-        lambda rays_o, rays_d, behind, window: _solid_rays(bound, rays_o, rays_d, streams, behind, window),
+        lambda rays_o, rays_d, behind, window, _: _solid_rays(bound, rays_o, rays_d, streams, behind, window),
         background,
         found,
         cut=streams != ("eyes",) and bound.field.config.merge == "joint",

@@ -10,7 +10,7 @@ import torch
 
 from gazenerf.errors import UserError
 from gazenerf.geometry import Camera, Gaze
-from gazenerf.heads.baked import FeatureLattice, bake
+from gazenerf.heads.baked import FeatureLattice, bake, draw_together
 from gazenerf.heads.head import Head
 from gazenerf.heads.interface import BoundField, HeadField
 from gazenerf.heads.lattice import Band
@@ -19,6 +19,28 @@ from gazenerf.image_metrics import psnr
 from tests.field_doubles import make_field, make_subject, soft_field, tiny_config
 
 TURNED = Gaze.from_degrees(15, -20)
+
+
+VIEWS = [(Gaze(), 0.0), (Gaze(), 0.4), (TURNED, -0.5), (Gaze.from_degrees(-10, 25), 1.4)]
+"""Gazes, among them the one of the bake, and yaws of the camera."""
+
+
+@pytest.mark.parametrize("size", [(64, 64), (48, 40)])
+def test_pictures_drawn_together_are_those_drawn_alone(size: tuple[int, int]) -> None:
+    field = soft_field()
+    head = bake(Head(field, make_subject(field.config)), Gaze())
+    bounds = [head.at(gaze) for gaze, _ in VIEWS]
+    near = [3.0 if i == 1 else 12.0 for i in range(len(VIEWS))]  # one reaches its borders, and its neighbours' maps
+    cameras = [Camera.orbit(yaw=yaw, size=size, distance=d) for (_, yaw), d in zip(VIEWS, near, strict=True)]
+    together = draw_together(bounds, cameras)
+    alone = [bound.render(camera) for bound, camera in zip(bounds, cameras, strict=True)]
+    for (image, geometry), view in zip(together, alone, strict=True):
+        np.testing.assert_allclose(image, view.image, atol=1e-5)
+        theirs = view.geometry["head"]
+        np.testing.assert_allclose(geometry.opacity, theirs.opacity, atol=1e-6)
+        np.testing.assert_allclose(geometry.depth, theirs.depth, atol=1e-5)
+        assert geometry.camera.to_dict() == theirs.camera.to_dict()
+    assert np.abs(together[0][0] - together[3][0]).max() > 0.05
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.6, 2.0])

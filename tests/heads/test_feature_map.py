@@ -61,7 +61,7 @@ def test_features_go_on_beyond_an_outline_and_the_matte_ends_them() -> None:
     features = torch.where(inside[:, None] > 0, 5.0, background)
     found = RayFeatures(features, inside.clone(), torch.where(inside > 0, 12.0, torch.nan))
 
-    def composite(rays_o: torch.Tensor, rays_d: torch.Tensor, behind: torch.Tensor, window: object) -> RayFeatures:
+    def composite(rays_o: torch.Tensor, rays_d: torch.Tensor, behind: torch.Tensor, *_: object) -> RayFeatures:
         x, y = (-rays_d[:, i] / rays_d[:, 2] * rays_o[:, 2] for i in (0, 1))
         extent = 2 * 12.0 * np.tan(np.deg2rad(14.2) / 2)
         alpha = (torch.hypot(x, y) < 0.3 * extent).float()

@@ -1,13 +1,16 @@
-"""Many views of one head, drawn in order, on a CPU one on each core."""
+"""Many views of one head, drawn in order: on a CPU one on each core, on a GPU as many at once as its memory allows."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
+from typing import Any, cast
 
 import numpy as np
 
 from gazenerf.geometry import Camera, Gaze
-from gazenerf.heads.interface import BoundField, HeadField
+from gazenerf.heads.baked import BakedBoundHead, BakedHead
+from gazenerf.heads.interface import BoundField, HeadField, Part, RenderedView
 from gazenerf.workers import in_order, pool, workers_for
 
 
@@ -35,6 +38,9 @@ def draw_views(
                 bound = head.at(gaze)
             yield bound, camera
 
+    if isinstance(head, BakedHead) and head.device.type != "cpu":
+        yield from (draw(bound, camera) for bound, camera in _together(head, bound_views()))
+        return
     workers = min(workers_for(head.device) if workers is None else workers, len(views))
     if workers <= 1:
         for bound, camera in bound_views():
@@ -42,3 +48,57 @@ def draw_views(
         return
     with pool(workers) as executor:
         yield from in_order(executor, lambda view: draw(*view), bound_views(), workers + 1)
+
+
+def _together(head: BakedHead, views: Iterator[tuple[BoundField, Camera]]) -> Iterator[tuple[BoundField, Camera]]:
+    """The views, their pictures of the head computed several at a time."""
+    waiting: list[tuple[BakedBoundHead, Camera]] = []
+
+    def handed() -> Iterator[tuple[BoundField, Camera]]:
+        batch = _Batch(head, waiting)
+        for i, (bound, camera) in enumerate(waiting):
+            yield cast(BoundField, _OfBatch(bound, batch, i)), camera
+
+    for bound, camera in views:
+        assert isinstance(bound, BakedBoundHead)
+        first = waiting[0][1] if waiting else camera
+        other_size = (camera.width, camera.height) != (first.width, first.height)
+        if waiting and (other_size or len(waiting) >= head.frames_at_once(first)):
+            yield from handed()
+            waiting = []
+        waiting.append((bound, camera))
+    if waiting:
+        yield from handed()
+
+
+class _Batch:
+    """Views of one size whose pictures of the head are drawn together when the first is asked for."""
+
+    def __init__(self, head: BakedHead, views: list[tuple[BakedBoundHead, Camera]]) -> None:
+        self._head, self._views = head, views
+
+    @cached_property
+    def drawn(self) -> list[RenderedView]:
+        """The head in every view."""
+        return self._head.render_together(self._views)
+
+
+class _OfBatch:
+    """A bound head that takes its own picture of the head from a batch, and all else from itself."""
+
+    def __init__(self, bound: BakedBoundHead, batch: _Batch, index: int) -> None:
+        self._bound, self._batch, self._index = bound, batch, index
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._bound, name)
+
+    def render(self, camera: Camera, parts: tuple[Part, ...] = ("head",)) -> RenderedView:
+        """See `BoundField`; the camera is that of the view."""
+        rest: tuple[Part, ...] = tuple(part for part in parts if part != "head")
+        other = self._bound.render(camera, rest) if rest else None
+        images = {} if other is None else dict(other.images)
+        geometry = {} if other is None else dict(other.geometry)
+        if "head" in parts:
+            head = self._batch.drawn[self._index]
+            images["head"], geometry["head"] = head.images["head"], head.geometry["head"]
+        return RenderedView(camera, {part: images[part] for part in parts}, geometry)
