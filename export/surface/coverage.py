@@ -140,6 +140,11 @@ class Coverage:
     cost_mm: float
     lost: tuple[LostPart, ...] = ()
 
+    @property
+    def lost_cm2(self) -> float:
+        """Area of all lost parts together."""
+        return sum(lost.area_cm2 for lost in self.lost)
+
     def warning(self, part: str) -> str | None:
         """One line about what the mesh of a part lacks or shows too much of; None where that is little."""
         said = []

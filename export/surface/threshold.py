@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +14,13 @@ from gazenerf.export.surface.densities import DensityGrid
 from gazenerf.heads.interface import Part
 
 CANDIDATES = (3.0, 6.0, 12.0, 24.0, 48.0, 96.0)
-"""Densities per world unit that `auto` tries where the volume reaches them; then two beside the best."""
+"""Densities per world unit that `auto` tries where the volume reaches them; then the best times `STEPS`."""
+
+STEPS = tuple(2.0 ** (k / 8.0) for k in range(-4, 5) if k)
+"""Factors of the levels around the best candidate."""
+
+ALIKE = 0.15
+"""Levels whose costs are this much larger than the least, as a share, are taken as good as the best of them."""
 
 EMPTY = 1.0
 """Largest density, per world unit, of a volume that shows nothing: a tenth of a unit of it is 10 % opaque."""
@@ -46,6 +52,16 @@ class Threshold:
     level: float
     how: str
     tried: tuple[Judged, ...] = ()
+
+
+def least_lost(tried: Sequence[Judged]) -> Judged:
+    """Of the levels that cost about as little as the best, the one whose surface loses the smallest parts.
+
+    The costs are flat around the best level, over a range in which thin parts come and go: ears above all.
+    """
+    least = min(found.coverage.cost_mm for found in tried)
+    alike = [found for found in tried if found.coverage.cost_mm <= (1.0 + ALIKE) * least]
+    return min(alike, key=lambda found: (found.coverage.lost_cm2, found.coverage.cost_mm))
 
 
 def choose_threshold(
@@ -94,11 +110,8 @@ def choose_threshold(
         raise UserError(
             f"no automatic threshold fits the {part} volume, whose largest density is {largest:.3g}; give --threshold X"
         )
-    levels = [found.level for found in tried]
     best = min(tried, key=lambda found: found.coverage.cost_mm).level
-    place = levels.index(best)
-    for other in levels[max(place - 1, 0) : place] + levels[place + 1 : place + 2]:
-        between = float(np.sqrt(best * other))
-        tried.append(Judged(between, coverage(surface(between), depth)))
-    chosen = min(tried, key=lambda found: found.coverage.cost_mm)
+    beside = [best * step for step in STEPS if CANDIDATES[0] <= best * step <= min(CANDIDATES[-1], 0.6 * largest)]
+    tried += [Judged(level, coverage(surface(level), depth)) for level in beside]
+    chosen = least_lost(tried)
     return Threshold(chosen.level, "auto", tuple(sorted(tried, key=lambda found: found.level)))
