@@ -17,6 +17,7 @@ import json
 import time
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -65,8 +66,9 @@ class Reference:
         assert crop is not None, "the head model has no landmarks"
         self.crop: FaceCrop = crop
         self._normals, self._faces = head.normals, head.part_faces(FACE)
-        self._scene = ray_scene(trimesh.Trimesh(head.vertices, self._faces, process=False))
-        assert self._scene is not None, "this needs open3d"
+        scene = ray_scene(trimesh.Trimesh(head.vertices, self._faces, process=False))
+        assert scene is not None, "this needs open3d"
+        self._scene = scene
 
     def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Nearest points (N, 3) on the face and unit normals (N, 3) there, of points (N, 3)."""
@@ -176,7 +178,7 @@ def main() -> None:
     rows: dict[str, Any] = {"rendered depth": reference.distances(depth.points, mm)}
     print("rendered depth itself:", {name: round(value, 2) for name, value in rows["rendered depth"].items()})
     for name in args.settings:
-        row, mesh = measured(bound, reference, MeshOptions(**({"colours": False} | SETTINGS[name])))
+        row, mesh = measured(bound, reference, replace(MeshOptions(colours=False), **SETTINGS[name]))
         shaded = {name: np.asarray(mesh.vertex_normals)}
         if name == "isosurface, not smoothed":
             old = gradient_normals(bound, mesh, 0.5 / mm)
