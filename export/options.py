@@ -24,11 +24,10 @@ VOLUMES = ("nrrd", "vti", "npz")
 SURFACE, WRITTEN = "surface", "what is written"
 
 PRESETS: dict[str, dict[str, Any]] = {
-    "blender": {"formats": ("glb", "obj"), "smoothing": 10, "max_faces": 50_000, "texture": 2048, "rig": True},
+    "blender": {"formats": ("glb", "obj"), "max_faces": 50_000, "texture": 2048, "rig": True},
     "web": {
         "formats": ("glb",),
         "resolution": 160,
-        "smoothing": 10,
         "max_faces": 15_000,
         "texture": 1024,
         "rig": True,
@@ -39,9 +38,8 @@ PRESETS: dict[str, dict[str, Any]] = {
         "resolution": 256,
         "repair": True,
         "seen": True,
-        "smoothing": 20,
     },
-    "research": {"formats": ("ply",), "points": 200_000, "volumes": ("nrrd", "npz")},
+    "research": {"formats": ("ply",), "smoothing": 0, "points": 200_000, "volumes": ("nrrd", "npz")},
 }
 """Use to the settings that differ from the defaults."""
 
@@ -87,7 +85,9 @@ class MeshOptions:
     holes_mm: float = option(
         0.0, "close holes up to this radius; inf for all", flag="--close-holes", metavar="MM", group=SURFACE
     )
-    smoothing: int = option(0, "rounds of smoothing that keeps the volume", flag="--smooth", metavar="N", group=SURFACE)
+    smoothing: int = option(
+        40, "rounds of smoothing that keeps the volume (default: 40)", flag="--smooth", metavar="N", group=SURFACE
+    )
     max_faces: int | None = option(None, "decimate each part to at most N triangles", metavar="N", group=SURFACE)
     formats: tuple[str, ...] = option(
         ("glb", "ply", "obj"), "glb, ply, obj, stl, usdz (default: glb ply obj)", metavar="F", group=WRITTEN

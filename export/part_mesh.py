@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache, partial
 
 import numpy as np
 import trimesh
@@ -12,13 +15,14 @@ from gazenerf.export.appearance.colours import blend_colours, part_pictures, wit
 from gazenerf.export.appearance.points import PointCloud, sample_points
 from gazenerf.export.appearance.texture import MAX_FACES, TexturedMesh, bake_texture
 from gazenerf.export.mesh.cleaning import Cleaning
+from gazenerf.export.mesh.normals import vertex_normals
 from gazenerf.export.mesh.repair import self_intersections
 from gazenerf.export.options import MeshOptions
+from gazenerf.export.surface.coverage import Coverage, RenderedDepth, coverage
 from gazenerf.export.surface.densities import DensityGrid, grid_shape, sample_density
 from gazenerf.export.surface.density_surface import KEPT_COMPONENTS, Surface, density_surface, part_box
 from gazenerf.export.surface.fusion import fused_surface
 from gazenerf.export.surface.known_surface import with_known_surface
-from gazenerf.export.surface.normals import surface_normals
 from gazenerf.export.surface.threshold import Threshold
 from gazenerf.heads.interface import PARTS, BoundField, Part
 from gazenerf.progress import Progress, silent, steps_of
@@ -30,11 +34,12 @@ class PartMesh:
 
     Attributes:
         part: Which volume.
-        mesh: World units, vertex normals from the density gradient, vertex colours (V, 4) uint8 sRGB.
+        mesh: World units, vertex normals of the surface as it is written, vertex colours (V, 4) uint8 sRGB.
         threshold: The level and why, None where no level was chosen.
         grid: Points along each axis.
         spacing: World units.
         queries: Points at which the field was queried.
+        coverage: What the mesh lacks of the field's rendered depth, and what it has beyond.
         steps: What was done to the mesh, in order.
         volume: Its density, world units; None where it was not kept.
         points: Points on it, world units; None where there are none.
@@ -48,6 +53,7 @@ class PartMesh:
     grid: tuple[int, ...]
     spacing: float
     queries: int
+    coverage: Coverage
     steps: tuple[str, ...] = field(default_factory=tuple)
     volume: DensityGrid | None = None
     points: PointCloud | None = None
@@ -60,7 +66,8 @@ def extract_part(
 ) -> PartMesh:
     """The surface of one part of a bound field.
 
-    The surface is found, small pieces are dropped, it is cleaned, and normals and colours are added.
+    The surface is found, small pieces are dropped, it is cleaned, held against the field's rendered depth, and
+    normals and colours are added. Python warns where much of what the field shows is missing.
 
     Args:
         bound: What is meshed.
@@ -88,6 +95,7 @@ def extract_part(
     resolution, volume = options.resolution, bool(options.volumes)
     bound = with_known_surface(bound, part)
     grid_shape(bound.box, resolution)
+    rendered = cache(partial(RenderedDepth.of, bound, part))
     if options.surface == "isosurface":
         found = density_surface(
             bound,
@@ -96,6 +104,7 @@ def extract_part(
             threshold=options.threshold,
             method=options.method,
             dense=volume,
+            rendered=rendered,
             progress=progress,
         )
         kept = found.volume
@@ -105,7 +114,7 @@ def extract_part(
         if volume:
             told = steps_of(progress, f"{part} density")
             kept = sample_density(bound, part, part_box(bound, part)[0], resolution, told)
-    return _finished(bound, part, found, cleaning, options, kept, progress)
+    return _finished(bound, part, found, cleaning, options, kept, rendered, progress)
 
 
 def _finished(
@@ -115,13 +124,18 @@ def _finished(
     cleaning: Cleaning,
     options: MeshOptions,
     volume: DensityGrid | None,
+    rendered: Callable[[], RenderedDepth],
     progress: Progress,
 ) -> PartMesh:
     """A found surface cleaned, with normals, colours and what else was asked for."""
     mesh = cleaning.apply(found.mesh)
-    steps = [*found.steps, *cleaning.steps(), "normals from the density gradient"]
-    normals = surface_normals(bound, np.asarray(mesh.vertices), part, 0.5 * found.spacing, mesh.vertex_normals)
+    steps = [*found.steps, *cleaning.steps(), "angle-weighted normals of the surface"]
+    normals = vertex_normals(mesh)
     mesh = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_normals=normals, process=False)
+    progress(f"{part} against rendered depth", 0, 1)
+    covered = coverage(mesh, rendered())
+    if (warning := covered.warning(part)) is not None:
+        warnings.warn(warning, stacklevel=3)
     pictures, cloud, textured = None, None, None
     if options.colours or options.texture is not None:
         progress(f"{part} pictures", 0, 1)
@@ -144,6 +158,7 @@ def _finished(
         found.grid,
         found.spacing,
         found.queries,
+        covered,
         tuple(steps),
         volume,
         cloud,

@@ -6,7 +6,7 @@ import numpy as np
 
 from gazenerf.export.formats.files import Facts, WrittenPart
 from gazenerf.export.pipeline import MeshReport
-from gazenerf.export.surface.threshold import NEAR_MM
+from gazenerf.export.surface.coverage import NEAR_MM, Coverage
 
 
 def mesh_rows(report: MeshReport) -> dict[str, object]:
@@ -44,13 +44,8 @@ def _part_rows(part: str, written: WrittenPart) -> dict[str, object]:
     if threshold is None:
         rows[f"{part} surface"] = extracted.steps[0]
     else:
-        chosen = f"{threshold.level:g} per unit ({threshold.how})"
-        if np.isfinite(threshold.depth_error_mm):
-            chosen += (
-                f", {threshold.depth_error_mm:.2f} mm median from the rendered depth, "
-                f"{threshold.missing:.1%} of which has no surface within {NEAR_MM:g} mm"
-            )
-        rows[f"{part} threshold"] = chosen
+        rows[f"{part} threshold"] = f"{threshold.level:g} per unit ({threshold.how})"
+    rows |= _coverage_rows(part, extracted.coverage)
     kind = "watertight" if about["watertight"] else "open"
     rows[f"{part} mesh"] = f"{about['vertices']:,} vertices, {about['faces']:,} faces, {kind}"
     pierced = about["self_intersecting_faces"]
@@ -63,6 +58,17 @@ def _part_rows(part: str, written: WrittenPart) -> dict[str, object]:
         rows[f"{part} queries"] = f"{extracted.queries:,} of {int(np.prod(extracted.grid)):,} grid points"
     if extracted.textured is not None:
         rows[f"{part} texture"] = _texture_line(about)
+    return rows
+
+
+def _coverage_rows(part: str, found: Coverage) -> dict[str, object]:
+    off = "" if np.isnan(found.depth_error_mm) else f"{found.depth_error_mm:.2f} mm median from the rendered depth, "
+    rows: dict[str, object] = {
+        f"{part} depth": f"{off}{found.missing:.1%} of which has no surface within {NEAR_MM:g} mm; "
+        f"{found.unrendered:.1%} of the surface is not rendered"
+    }
+    if found.lost:
+        rows[f"{part} lost"] = "; ".join(f"{lost.area_cm2:.1f} cm2 {lost.where}" for lost in found.lost)
     return rows
 
 

@@ -21,6 +21,7 @@ from gazenerf.export.formats.usd import usdz
 from gazenerf.export.formats.volumes import write_volume
 from gazenerf.export.options import MeshOptions
 from gazenerf.export.part_mesh import PartMesh
+from gazenerf.export.surface.coverage import Coverage
 from gazenerf.heads.interface import BoundField
 from gazenerf.options import to_dict
 
@@ -162,20 +163,18 @@ def sidecar(extracted: PartMesh, bound: BoundField) -> Facts:
         level = {
             "threshold_per_world_unit": threshold.level,
             "threshold_choice": threshold.how,
-            "depth_disagreement_mm": None if np.isnan(threshold.depth_error_mm) else threshold.depth_error_mm,
-            "share_of_rendered_depth_missing": None if np.isnan(threshold.missing) else threshold.missing,
-            "thresholds_tried": [
-                {
-                    "level": found.level,
-                    "depth_disagreement_mm": found.depth_error_mm,
-                    "share_of_rendered_depth_missing": found.missing,
-                }
-                for found in threshold.tried
-            ],
+            "thresholds_tried": [{"level": found.level} | coverage_facts(found.coverage) for found in threshold.tried],
         }
+    covered = extracted.coverage
+    lost = [
+        {"area_cm2": part.area_cm2, "centre_metres": (metres * part.centre).tolist(), "where": part.where}
+        for part in covered.lost
+    ]
     facts = common_facts(bound) | {
         "part": extracted.part,
         **level,
+        **coverage_facts(covered),
+        "lost_parts": lost,
         "grid": list(extracted.grid),
         "voxel_mm": extracted.spacing * metres * 1000.0,
         "field_queries": extracted.queries,
@@ -207,6 +206,15 @@ def sidecar(extracted: PartMesh, bound: BoundField) -> Facts:
             "vertices_with_seams": len(textured.mesh.vertices),
         }
     return facts
+
+
+def coverage_facts(found: Coverage) -> Facts:
+    """A mesh against its field's rendered depth, as sidecars say it."""
+    return {
+        "depth_disagreement_mm": None if np.isnan(found.depth_error_mm) else found.depth_error_mm,
+        "share_of_rendered_depth_missing": found.missing,
+        "share_of_surface_not_rendered": found.unrendered,
+    }
 
 
 def _version(name: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,7 @@ import trimesh
 
 from gazenerf.errors import UserError
 from gazenerf.export.mesh.cleaning import keep_largest
+from gazenerf.export.surface.coverage import RenderedDepth
 from gazenerf.export.surface.densities import DensityGrid, extent, fill_enclosed, sample_density
 from gazenerf.export.surface.isosurface import isosurface
 from gazenerf.export.surface.refine import refine_density, refine_grid
@@ -56,6 +58,7 @@ def density_surface(
     threshold: str | float,
     method: str,
     dense: bool = False,
+    rendered: Callable[[], RenderedDepth] | None = None,
     progress: Progress = silent,
 ) -> Surface:
     """The isosurface of one part.
@@ -68,6 +71,7 @@ def density_surface(
         threshold: `auto`, a density, or a percentile such as `p50`.
         method: One of `gazenerf.export.surface.isosurface.METHODS`.
         dense: Query every point of the grid and return it as the surface's `volume`.
+        rendered: Gives the depth that `auto` goes by; rendered here where None.
         progress: Told about stages.
 
     Raises:
@@ -97,7 +101,9 @@ def density_surface(
             solid = judged if part == "eyes" else fill_enclosed(judged, beside, level)
             return keep_largest(isosurface(solid, level, method), KEPT_COMPONENTS[part])
 
-        chosen = choose_threshold(bound, part, judged, threshold, candidate)
+        chosen = choose_threshold(
+            part, judged, threshold, candidate, rendered or (lambda: RenderedDepth.of(bound, part))
+        )
     grid, other = volumes(resolution, (chosen.level, chosen.level), dense)
     queries += grid.queries + (other.queries if other else 0)
     solid = grid if part == "eyes" else fill_enclosed(grid, other, chosen.level)

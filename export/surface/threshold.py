@@ -1,34 +1,26 @@
-"""Which density is the surface: a number, a percentile, or the level whose surface is nearest to the rendered depth."""
+"""Which density is the surface: a number, a percentile, or the level whose surface fits the rendered depth best."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import trimesh
 
 from gazenerf.errors import UserError
-from gazenerf.export.mesh.rays import cast_rays
+from gazenerf.export.surface.coverage import Coverage, RenderedDepth, coverage
 from gazenerf.export.surface.densities import DensityGrid
-from gazenerf.geometry import Camera
-from gazenerf.heads.interface import BoundField, Part
-
-VIEWS = ((0.0, 0.0), (40.0, 5.0), (-40.0, -5.0))
-"""Yaw and pitch, degrees, of the views that judge a threshold."""
-
-SIDES = ((85.0, 0.0), (-85.0, 0.0))
-"""Views added where ears are: of any part but the eyes, whose sides no picture shows."""
-
-NEAR_MM = 2.0
-"""Rendered depth without a surface this near counts as missing from a mesh."""
-
-CAP_MM = 10.0
-"""Distances count up to this, and a ray without a surface counts this much, so that an ear is not lost for a better
-median."""
+from gazenerf.heads.interface import Part
 
 CANDIDATES = (3.0, 6.0, 12.0, 24.0, 48.0, 96.0)
-"""Densities per world unit that `auto` tries where the volume reaches them; then two beside the best."""
+"""Densities per world unit that `auto` tries where the volume reaches them; then the best times `STEPS`."""
+
+STEPS = tuple(2.0 ** (k / 8.0) for k in range(-4, 5) if k)
+"""Factors of the levels around the best candidate."""
+
+ALIKE = 0.15
+"""Levels whose costs are this much larger than the least, as a share, are taken as good as the best of them."""
 
 EMPTY = 1.0
 """Largest density, per world unit, of a volume that shows nothing: a tenth of a unit of it is 10 % opaque."""
@@ -36,20 +28,15 @@ EMPTY = 1.0
 
 @dataclass(frozen=True)
 class Judged:
-    """A level held against the depth that the field renders.
+    """A level and its surface held against the depth that the field renders.
 
     Attributes:
         level: Density per world unit.
-        depth_error_mm: Median distance between surface and rendered expected depth along the rays that hit
-            both, millimetres; inf where none does.
-        missing: Share of the rendered depth that has no surface within `NEAR_MM`.
-        capped_mm: Mean distance over all rays that show depth, each at most `CAP_MM`; what the choice goes by.
+        coverage: Of the level's surface.
     """
 
     level: float
-    depth_error_mm: float
-    missing: float
-    capped_mm: float
+    coverage: Coverage
 
 
 @dataclass(frozen=True)
@@ -59,53 +46,37 @@ class Threshold:
     Attributes:
         level: Density per world unit.
         how: `auto`, `fixed` or `percentile`.
-        depth_error_mm: Median distance between surface and rendered expected depth, millimetres;
-            NaN when it was not measured.
-        missing: Share of the rendered depth without a surface within `NEAR_MM`; NaN when it was not measured.
-        tried: Every candidate.
+        tried: Every candidate, as the choice saw them: on a grid coarser than the mesh's, before it is cleaned.
     """
 
     level: float
     how: str
-    depth_error_mm: float = float("nan")
-    missing: float = float("nan")
     tried: tuple[Judged, ...] = ()
 
 
-def depth_views(bound: BoundField, part: Part, size: int = 96) -> list[tuple[Camera, np.ndarray]]:
-    """Cameras and the field's expected depth (H, W) in them, for `depth_disagreement`."""
-    views = VIEWS if part == "eyes" else VIEWS + SIDES
-    cameras = [Camera.orbit(float(np.deg2rad(yaw)), float(np.deg2rad(pitch)), size=size) for yaw, pitch in views]
-    return [(camera, bound.render_geometry(camera, part).depth) for camera in cameras]
+def least_lost(tried: Sequence[Judged]) -> Judged:
+    """Of the levels that cost about as little as the best, the one whose surface loses the smallest parts.
 
-
-def judge(
-    level: float, mesh: trimesh.Trimesh, views: list[tuple[Camera, np.ndarray]], metres_per_unit: float
-) -> Judged:
-    """A mesh of a level against the depth (H, W) that cameras see, both ways: how far off, and how much is missing."""
-    errors = []
-    for camera, depth in views:
-        rays_o, rays_d = camera.rays()
-        seen = np.isfinite(depth)
-        hit = cast_rays(mesh, rays_o[seen], rays_d[seen])
-        errors.append(np.abs(hit - depth[seen]))
-    error = 1000.0 * metres_per_unit * np.concatenate(errors)
-    if not error.size:
-        return Judged(level, float("inf"), 1.0, CAP_MM)
-    missing = float(np.mean(~(error <= NEAR_MM)))
-    capped = float(np.minimum(np.nan_to_num(error, nan=CAP_MM), CAP_MM).mean())
-    known = error[np.isfinite(error)]
-    return Judged(level, float(np.median(known)) if known.size else float("inf"), missing, capped)
+    The costs are flat around the best level, over a range in which thin parts come and go: ears above all.
+    """
+    least = min(found.coverage.cost_mm for found in tried)
+    alike = [found for found in tried if found.coverage.cost_mm <= (1.0 + ALIKE) * least]
+    return min(alike, key=lambda found: (found.coverage.lost_cm2, found.coverage.cost_mm))
 
 
 def choose_threshold(
-    bound: BoundField, part: Part, grid: DensityGrid, asked: str | float, surface: Callable[[float], trimesh.Trimesh]
+    part: Part,
+    grid: DensityGrid,
+    asked: str | float,
+    surface: Callable[[float], trimesh.Trimesh],
+    rendered: Callable[[], RenderedDepth],
 ) -> Threshold:
     """Resolve what was asked for.
 
     Args:
         asked: `auto`, a density, or a percentile of the positive densities such as `p50`.
         surface: Level to mesh in world units.
+        rendered: Gives the depth that the field renders of the part; asked by `auto` only.
 
     Raises:
         UserError: not a threshold, or no candidate gives a surface.
@@ -131,21 +102,16 @@ def choose_threshold(
             f"the {part} volume is empty (its largest density is {largest:.3g} per unit): "
             "the field is untrained, or its box misses the head"
         )
-    views = depth_views(bound, part)
-    tried = []
+    depth, tried = rendered(), []
     for level in CANDIDATES:
         if level < 0.6 * largest:
-            tried.append(judge(level, surface(level), views, bound.metres_per_unit))
-    if not tried or not np.isfinite(min(found.depth_error_mm for found in tried)):
+            tried.append(Judged(level, coverage(surface(level), depth)))
+    if not any(np.isfinite(found.coverage.depth_error_mm) for found in tried):
         raise UserError(
             f"no automatic threshold fits the {part} volume, whose largest density is {largest:.3g}; give --threshold X"
         )
-    levels = [found.level for found in tried]
-    best = min(tried, key=lambda found: found.capped_mm).level
-    place = levels.index(best)
-    for other in levels[max(place - 1, 0) : place] + levels[place + 1 : place + 2]:
-        between = float(np.sqrt(best * other))
-        tried.append(judge(between, surface(between), views, bound.metres_per_unit))
-    chosen = min(tried, key=lambda found: found.capped_mm)
-    ordered = tuple(sorted(tried, key=lambda found: found.level))
-    return Threshold(chosen.level, "auto", chosen.depth_error_mm, chosen.missing, ordered)
+    best = min(tried, key=lambda found: found.coverage.cost_mm).level
+    beside = [best * step for step in STEPS if CANDIDATES[0] <= best * step <= min(CANDIDATES[-1], 0.6 * largest)]
+    tried += [Judged(level, coverage(surface(level), depth)) for level in beside]
+    chosen = least_lost(tried)
+    return Threshold(chosen.level, "auto", tuple(sorted(tried, key=lambda found: found.level)))

@@ -67,7 +67,7 @@ def test_eyes_come_out_as_two_spheres_of_the_right_size(bound):
         assert np.abs(piece.centroid - eye.centre).max() * 100 < 0.1  # mm
         assert abs(away.mean() - eye.radii[0]) * 100 < 0.1
     assert extracted.threshold.how == "auto" and extracted.threshold.level == 96.0
-    assert extracted.threshold.depth_error_mm < 0.1
+    assert extracted.coverage.depth_error_mm < 0.1
 
 
 def test_caves_are_filled_but_eye_sockets_are_not():
