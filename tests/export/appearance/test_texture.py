@@ -33,7 +33,7 @@ def bound():
 
 @pytest.fixture(scope="module")
 def face(bound):
-    return extract_part(bound, "face", MeshOptions(resolution=40, threshold=100.0, colours=False)).mesh
+    return extract_part(bound, "face", MeshOptions(resolution=40, threshold=100.0, colours=False, smoothing=0)).mesh
 
 
 @pytest.fixture(scope="module")
@@ -133,7 +133,13 @@ def test_the_texture_holds_the_colour_of_its_surface(textured):
 def test_files_with_textures_reload(bound, tmp_path, monkeypatch):
     monkeypatch.setattr("gazenerf.export.pipeline.texture_psnr", lambda *_: {"psnr_db": [30.0]})
     bound = AnalyticField(sharpness=0.2)
-    settings: dict = {"resolution": 32, "threshold": 100.0, "texture": 1024, "formats": ("glb", "obj", "ply")}
+    settings: dict = {
+        "resolution": 32,
+        "threshold": 100.0,
+        "smooth": 0,
+        "texture": 1024,
+        "formats": ("glb", "obj", "ply"),
+    }
     mesh_subject(AnalyticHead(lambda gaze: bound), tmp_path, MeshOptions(parts=("face",), **settings))
     written = sorted(path.name for path in tmp_path.iterdir())
     assert written == ["face.glb", "face.json", "face.mtl", "face.obj", "face.ply", "face.png"]

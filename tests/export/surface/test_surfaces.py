@@ -37,7 +37,7 @@ def open3d():
 @pytest.mark.parametrize("part", ["face", "eyes"])
 @pytest.mark.parametrize(("surface", "bias"), [("tsdf", 0.25), ("poisson", 0.02)])
 def test_fused_surfaces_are_the_true_ones(open3d, part, surface, bias):
-    extracted = extract_part(BOUND, part, MeshOptions(resolution=64, surface=surface, colours=False))
+    extracted = extract_part(BOUND, part, MeshOptions(resolution=64, surface=surface, colours=False, smoothing=0))
     away = distances(extracted) / extracted.spacing
     assert away.max() < 1.0 and away.mean() < bias
     assert extracted.mesh.is_watertight and extracted.mesh.volume > 0
