@@ -136,7 +136,7 @@ def test_files_with_textures_reload(bound, tmp_path, monkeypatch):
     settings: dict = {
         "resolution": 32,
         "threshold": 100.0,
-        "smooth": 0,
+        "smoothing": 0,
         "texture": 1024,
         "formats": ("glb", "obj", "ply"),
     }
