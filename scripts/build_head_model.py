@@ -198,6 +198,7 @@ def build(count: int, seed: int) -> dict[str, np.ndarray]:
         fine = push_out(fine, new, 1.06 * EYE_RADIUS)
     faces = triangles(fine_quads)
     from head_appearance import find_landmarks, occlusion_of, paint  # beside this script
+    from head_landmarks import place_landmarks
 
     uv = np.zeros((len(neutral), 2))
     uv[quads.ravel()] = raw["uv"][raw["uv_quads"].ravel()]
@@ -208,7 +209,7 @@ def build(count: int, seed: int) -> dict[str, np.ndarray]:
     albedo_mean, albedo_basis = paint(fine, new_eyes, matrix, uv, marks)
     scale = np.abs(albedo_basis).reshape(len(albedo_basis), -1).max(axis=1) / 127.0
     del left, template_neutral
-    return {
+    arrays = {
         "template": template.astype(np.float32),
         "identity": basis[:, :size].reshape(-1, *template.shape).astype(np.float16),
         "expression": actions.astype(np.float16),
@@ -225,6 +226,8 @@ def build(count: int, seed: int) -> dict[str, np.ndarray]:
         "landmarks": marks.astype(np.int32),
         "variance_kept": np.float32(kept_share),
     }
+    # the brows are painted along the first marks, so these are replaced last
+    return {**arrays, "landmarks": place_landmarks(arrays).astype(np.int32)}
 
 
 def main() -> None:

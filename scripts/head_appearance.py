@@ -1,4 +1,4 @@
-"""Landmarks, ambient occlusion and the albedo basis of the bundled head; used by build_head_model.py."""
+"""First landmarks, ambient occlusion and the albedo basis of the bundled head; used by build_head_model.py."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def find_landmarks(
     uv: np.ndarray,
     jaw_drop: np.ndarray,
 ) -> np.ndarray:
-    """(68,) fine vertices of the standard landmarks, the subject's right jaw first.
+    """(68,) fine vertices of the standard landmarks, the subject's right jaw first; head_landmarks.py mends some.
 
     `jaw_drop` (V,) is how far each fine vertex sinks when the jaw opens; it tells the lips apart.
     """

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gazenerf.geometry import Camera, Gaze
+from gazenerf.head_model.expressions import sample_expressions
 from gazenerf.head_model.model import ParametricHead
 from gazenerf.head_model.sampling import sample_expression, sample_person
 from gazenerf.subjects import Codes
@@ -26,6 +27,9 @@ XGAZE_LAYOUT: tuple[tuple[float, float], ...] = (
 
 LAYOUTS = ("random", "xgaze18")
 
+EXPRESSIONS = ("all", "few")
+"""All of ARKit's coefficients in combination, or one to three at a time."""
+
 
 @dataclass(frozen=True)
 class View:
@@ -44,7 +48,15 @@ class View:
     noise_seed: int = 0
 
 
-def plan_view(model: ParametricHead, seed: int, person: int, view: int, size: int, layout: str = "random") -> View:
+def plan_view(
+    model: ParametricHead,
+    seed: int,
+    person: int,
+    view: int,
+    size: int,
+    layout: str = "random",
+    expressions: str = "all",
+) -> View:
     """The view with these indices; the same arguments give the same view.
 
     Args:
@@ -54,17 +66,24 @@ def plan_view(model: ParametricHead, seed: int, person: int, view: int, size: in
         size: Picture side in pixels.
         layout: `random` cameras or `xgaze18`, where view v is camera v % 18 of frame v // 18, and
             expression and gaze are constant over a frame.
+        expressions: `all` (`sample_expressions`) or `few` (`sample_expression`), what captures drew before 0.3; all
+            else of the view stays the same.
 
     Raises:
-        ValueError: unknown layout.
+        ValueError: unknown layout or expressions.
     """
+    if expressions not in EXPRESSIONS:
+        raise ValueError(f"unknown expressions {expressions!r}; there are {', '.join(EXPRESSIONS)}")
     if layout not in LAYOUTS:
         raise ValueError(f"unknown camera layout {layout!r}; there are {', '.join(LAYOUTS)}")
     who = sample_person(np.random.default_rng((seed, person)), model)
     frame = view if layout == "random" else view // len(XGAZE_LAYOUT)
     rng = np.random.default_rng((seed, person, 1, frame))
     pitch, yaw = rng.uniform(-GAZE_PITCH, GAZE_PITCH), rng.uniform(-GAZE_YAW, GAZE_YAW)
-    expression = sample_expression(rng, model)
+    gaze = Gaze.from_degrees(float(pitch), float(yaw))
+    expression = sample_expression(rng, model)  # also where it is not used, so that light and camera stay the same
+    if expressions == "all":
+        expression = sample_expressions(np.random.default_rng((seed, person, 3, frame)), model, gaze)
     light = who.illumination * np.repeat(1.0 + 0.04 * rng.normal(size=9), 3).astype(np.float32)
     if layout == "random":
         camera_yaw = float(np.clip(rng.normal(0, 42), -CAMERA_YAW, CAMERA_YAW))
@@ -82,4 +101,4 @@ def plan_view(model: ParametricHead, seed: int, person: int, view: int, size: in
     )  # fmt: skip
     codes = Codes(who.identity, expression, who.texture, light)
     noise_seed = int(np.random.default_rng((seed, person, 2, view)).integers(2**31))
-    return View(codes, Gaze.from_degrees(float(pitch), float(yaw)), camera, person, view, noise_seed)
+    return View(codes, gaze, camera, person, view, noise_seed)

@@ -34,6 +34,9 @@ MAX_MANIFEST_BYTES = 2**20
 DEPTH_STEP = 5e-4
 """World units per depth level; depth is stored as 16-bit steps from the capture's nearest point."""
 
+EARLIER = {"expressions": "few"}
+"""What holds for sets whose manifests are older than a setting."""
+
 _CODES = ("identity", "expression", "texture", "illumination")
 _DAMAGE = (
     OSError, EOFError, KeyError, ValueError, IndexError, TypeError, AttributeError, SyntaxError, OverflowError,
@@ -57,7 +60,7 @@ def write_manifest(folder: Path, manifest: dict[str, Any]) -> None:
     path = folder / MANIFEST
     manifest = {"format": FORMAT, **manifest}
     if path.is_file():
-        old = read_manifest(folder)
+        old, manifest = read_manifest(folder), EARLIER | manifest
         differing = [key for key in sorted(old.keys() | manifest.keys()) if old.get(key) != manifest.get(key)]
         if differing:
             shared = [key for key in differing if key in old and key in manifest] or differing
@@ -71,7 +74,7 @@ def write_manifest(folder: Path, manifest: dict[str, Any]) -> None:
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
-    """A set's manifest.
+    """A set's manifest, with what holds for an older one that lacks a setting.
 
     Raises:
         UserError: it is missing, too large, damaged, or of another format.
@@ -87,7 +90,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         raise UserError(f"cannot read {path}: {error}") from error
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
         raise UserError(f"{path} is not a manifest of captures")
-    return manifest
+    return EARLIER | manifest
 
 
 def write_shard(folder: Path, captures: list[Capture]) -> None:

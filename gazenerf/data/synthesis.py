@@ -19,7 +19,7 @@ import numpy as np
 from gazenerf.data.captures import Capture
 from gazenerf.data.path_tracer import SAMPLES, PathTracer
 from gazenerf.data.processes import follow_parent, launching
-from gazenerf.data.protocol import LAYOUTS, View, plan_view
+from gazenerf.data.protocol import EXPRESSIONS, LAYOUTS, View, plan_view
 from gazenerf.data.rasterizer import Raster, Rasterizer
 from gazenerf.data.storage import MAX_SIDE, SHARD_VIEWS, shard_name, write_manifest, write_shard
 from gazenerf.errors import UserError
@@ -45,7 +45,7 @@ class SynthesizeOptions:
         views: Captures of each.
         size: Picture side in pixels.
         seed: 0 or more; the same seed and settings give the same bytes.
-        layout: See `plan_view`.
+        layout, expressions: See `plan_view`.
         renderer: `pyrender`, shaded at the vertices, or `mitsuba`, path traced.
         supersampling: Of pyrender: this squared is its samples per pixel; `SUPERSAMPLING` by default.
         samples: Of mitsuba: light paths per pixel; `SAMPLES` by default.
@@ -57,6 +57,9 @@ class SynthesizeOptions:
     seed: int = option(0, "same seed, same bytes (default: 0)", metavar="S")
     layout: str = option(
         "random", "cameras: random, or xgaze18 for 18 fixed ones around each pose (default: random)", metavar="NAME"
+    )
+    expressions: str = option(
+        "all", "all 52 coefficients in combination, or few: one to three at a time (default: all)", metavar="NAME"
     )
     renderer: str = option(
         "pyrender",
@@ -79,6 +82,8 @@ class SynthesizeOptions:
             raise UserError(f"--seed must be 0 or more, got {self.seed}")
         if self.layout not in LAYOUTS:
             raise UserError(f"unknown --layout {self.layout!r}; there are {', '.join(LAYOUTS)}")
+        if self.expressions not in EXPRESSIONS:
+            raise UserError(f"unknown --expressions {self.expressions!r}; there are {', '.join(EXPRESSIONS)}")
         if self.supersampling is not None and not 1 <= self.supersampling <= MAX_SUPERSAMPLING:
             raise UserError(f"--supersampling goes from 1 to {MAX_SUPERSAMPLING}, got {self.supersampling}")
 
@@ -148,6 +153,7 @@ def synthesize(out: str | Path, options: SynthesizeOptions, progress: Progress =
                 "size": options.size,
                 "seed": options.seed,
                 "layout": options.layout,
+                "expressions": options.expressions,
                 **how,
                 "renderer": options.renderer,
                 "head_model": model.name,
@@ -182,7 +188,7 @@ def _one_after_another(
     for shard in shards:
         captures = []
         for view in shard.views:
-            plan = plan_view(model, options.seed, shard.person, view, options.size, options.layout)
+            plan = plan_view(model, options.seed, shard.person, view, options.size, options.layout, options.expressions)
             captures.append(render_capture(drawing, model, plan))
             if len(captures) == len(shard.views):
                 write_shard(folder, captures)

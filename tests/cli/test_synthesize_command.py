@@ -48,6 +48,7 @@ def test_captures_are_written_and_counted(words, samples, tmp_path, capsys):
         (["--supersampling", "0"], "--supersampling goes from 1"),
         (["--seed", "-1"], "--seed must be 0 or more"),
         (["--layout", "spiral"], "random, xgaze18"),
+        (["--expressions", "smiles"], "all, few"),
         (["--people", "0"], "at least 1"),
     ],
 )

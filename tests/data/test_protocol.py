@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -64,3 +66,16 @@ def test_xgaze18_sees_every_pose_from_18_sides(head):
 def test_an_unknown_layout_is_refused(head):
     with pytest.raises(ValueError, match="random, xgaze18"):
         plan_view(head, 0, 0, 0, 64, "spiral")
+
+
+def test_few_or_all_expressions_change_the_expression_alone(head):
+    """`few` is what captures drew before there was a choice: the field that is bundled has learned from these."""
+    for layout, view in (("random", 3), ("xgaze18", 3 * 18)):
+        few, both = (plan_view(head, 1, 0, view, 64, layout, expressions) for expressions in ("few", "all"))
+        assert (both.codes.expression > 0.01).sum() > (few.codes.expression > 0.01).sum()
+        assert_same(few, replace(both, codes=replace(both.codes, expression=few.codes.expression)))
+        drawn = {head.expression_names[i]: float(few.codes.expression[i]) for i in np.flatnonzero(few.codes.expression)}
+        expected = {"browDownLeft": 0.437462, "browDownRight": 0.365474, "jawOpen": 0.649882, "mouthPucker": 0.782453}
+        assert drawn == pytest.approx(expected, abs=1e-5)
+    with pytest.raises(ValueError, match="all, few"):
+        plan_view(head, 0, 0, 0, 64, "random", "some")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 import multiprocessing
@@ -114,6 +115,7 @@ def test_captures_read_back_as_they_were_rendered(whole, head):
     assert len(captures) == 6 and captures.people == [0, 1]
     manifest = json.loads((whole / storage.MANIFEST).read_text())
     assert manifest["renderer"] == "pyrender" and manifest["supersampling"] == 2
+    assert manifest["expressions"] == "all"
     view = synthesis.plan_view(head, 5, 1, 2, SIZE)
     with synthesis.Rasterizer((SIZE, SIZE), 2) as rasterizer:
         fresh = synthesis.render_capture(rasterizer, head, view)
@@ -174,3 +176,15 @@ def test_impossible_settings_are_refused_before_anything_is_written(change, word
     with pytest.raises(UserError, match=words):
         synthesize(tmp_path / "set", SynthesizeOptions(**SETTINGS | change))
     assert not (tmp_path / "set").exists()
+
+
+def test_a_set_older_than_the_choice_of_expressions_goes_on_with_few(pyrender, tmp_path):
+    few = SynthesizeOptions(people=1, views=2, size=16, seed=1, expressions="few")
+    assert synthesize(tmp_path, few) == 2
+    path = tmp_path / storage.MANIFEST
+    older = {key: value for key, value in json.loads(path.read_text()).items() if key != "expressions"}
+    path.write_text(json.dumps(older))
+    assert CaptureSet(tmp_path).manifest["expressions"] == "few"
+    assert synthesize(tmp_path, few) == 0
+    with pytest.raises(UserError, match="expressions few, not all"):
+        synthesize(tmp_path, dataclasses.replace(few, expressions="all"))
