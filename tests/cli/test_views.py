@@ -127,7 +127,7 @@ def test_a_gaze_beyond_training_is_warned_about_with_the_range(tmp_path, capsys)
         (("--frames", 0), "--frames"),
         (("--fps", 0), "--fps"),
         (("--camera-path", "spiral"), "unknown camera path"),
-        (("--camera-path", "none.json"), "no keyframe file"),
+        (("--camera-path", "none.json"), "none.json does not exist"),
         (("--gaze-path", "wander"), "unknown gaze path"),
         (("--panels", "image", "smell"), "unknown panel"),
         (("--panels", "reference"), "head-model"),
