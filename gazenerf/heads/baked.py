@@ -165,6 +165,7 @@ class BakedHead:
     def __init__(self, head: Head, baked: Bake) -> None:
         self.head, self.baked, self.subject = head, baked, head.subject
         self._most_pixels = MOST_PIXELS
+        self._told_memory = False
 
     @property
     def report(self) -> BakeReport:
@@ -195,6 +196,7 @@ class BakedHead:
         while len(done) < len(views):
             some = views[len(done) : len(done) + self.frames_at_once(views[0][1])]
             bounds, cameras = [bound for bound, _ in some], [camera for _, camera in some]
+            drawn = None
             try:
                 if len(some) == 1:
                     drawn = self.head.within_memory(partial(draw_together, bounds, cameras))
@@ -203,7 +205,8 @@ class BakedHead:
             except RuntimeError as error:
                 if len(some) == 1 or not is_out_of_memory(error):
                     raise
-                self._draw_less(some[0][1], len(some))
+            if drawn is None:  # not within `except`, where the error still holds the memory of the failed pass
+                self._draw_less(cameras[0], len(some))
                 continue
             done += [
                 RenderedView(camera, {"head": image}, {"head": geometry})
@@ -218,14 +221,16 @@ class BakedHead:
         return max(1, self._most_pixels // (camera.width * camera.height))
 
     def _draw_less(self, camera: Camera, tried: int) -> None:
-        """Half as many pictures a pass from now on, which is said."""
+        """Half as many pictures a pass from now on, which is said the first time."""
         self._most_pixels = (tried // 2) * camera.width * camera.height
-        warnings.warn(
-            f"the GPU's memory is short for {tried} frames at once; going on with {self.frames_at_once(camera)}",
-            stacklevel=4,
-        )
         if torch.cuda.is_available():
             torch.cuda.empty_cache()
+        if not self._told_memory:
+            self._told_memory = True
+            warnings.warn(
+                f"the GPU's memory is short for {tried} frames at once; going on with fewer, which is slower",
+                stacklevel=4,
+            )
 
 
 class BakedBoundHead:

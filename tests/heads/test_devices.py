@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import warnings
+import weakref
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from gazenerf.heads.head import LEAST_CHUNK, Head
 from gazenerf.heads.interface import HeadField
 from gazenerf.image_metrics import psnr
 from gazenerf.subjects import load_subject
+from gazenerf.viz.pictures.drawing import draw_views
 from gazenerf.viz.pictures.orbit import render_orbit
 from tests.field_doubles import make_field, make_subject, soft_field, tiny_config
 from tests.pretend_device import GPU, OnGPU, move, pretended_gpu
@@ -123,12 +125,54 @@ def test_short_memory_means_fewer_frames_at_once_and_is_said(monkeypatch: pytest
     monkeypatch.setattr(baked_module, "draw_together", short)
     head._most_pixels = 5 * 32**2
     views = [(head.at(Gaze()), Camera.orbit(yaw=0.1 * i, size=32)) for i in range(5)]
-    with pytest.warns(UserWarning, match="5 frames at once; going on with 2") as said:
+    with pytest.warns(UserWarning, match="5 frames at once; going on with fewer") as said:
         found = head.render_together(views)
         head.render_together(views)
     assert len(said) == 1 and passes == [5, 2, 2, 1, 2, 2, 1]
     for view, (bound, camera) in zip(found, views, strict=True):
         np.testing.assert_allclose(view.image, bound.render(camera).image, atol=1e-5)
+
+
+def test_each_shortage_halves_the_frames_but_only_the_first_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    field = soft_field()
+    head = bake(Head(field, make_subject(field.config)), Gaze())
+    monkeypatch.setattr(BakedHead, "frames_at_once", lambda self, camera: self._most_pixels // camera.width**2)
+    passes, held, left = [], [], []
+
+    def short(bounds: list[BakedBoundHead], cameras: list[Camera]) -> object:
+        passes.append(len(cameras))
+        if len(cameras) > 1:
+            taken = torch.zeros(len(cameras))
+            held.append(weakref.ref(taken))
+            raise torch.OutOfMemoryError("CUDA out of memory")
+        return draw_together(bounds, cameras)
+
+    monkeypatch.setattr(baked_module, "draw_together", short)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "empty_cache", lambda: left.append(sum(one() is not None for one in held)))
+    head._most_pixels = 4 * 32**2
+    views = [(head.at(Gaze()), Camera.orbit(yaw=0.1 * i, size=32)) for i in range(4)]
+    with pytest.warns(UserWarning, match="memory is short for 4 frames at once; going on with fewer") as said:
+        assert len(head.render_together(views)) == 4
+    assert passes == [4, 2, 1, 1, 1, 1] and len(said) == 1
+    assert left == [0, 0]  # what a failed pass held is free when the memory is given back
+
+
+def test_a_drawn_view_may_ask_for_pictures_of_other_cameras() -> None:
+    field = soft_field()
+    subject = make_subject(field.config)
+    cameras = [Camera.orbit(yaw=0.4 * i, size=32) for i in range(3)]
+    views, other = [(camera, GAZE) for camera in cameras], Camera.orbit(yaw=-0.8, size=48)
+    with pretended_gpu():
+        head = bake(Head(move(copy.deepcopy(field)), subject, precision="float32", upsampler="reference"), Gaze())
+        expected = head.at(GAZE).render(other).image
+        found = list(draw_views(head, views, lambda bound, camera: bound.render(other).image))
+        same = list(draw_views(head, views, lambda bound, camera: bound.render(camera.resized(32)).image))
+        alone = [head.at(GAZE).render(camera).image for camera in cameras]
+    for image in found:
+        np.testing.assert_array_equal(image, expected)
+    for ours, theirs in zip(same, alone, strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-5)
 
 
 def test_the_pretence_notices_what_a_gpu_would() -> None:

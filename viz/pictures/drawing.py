@@ -77,6 +77,10 @@ class _Batch:
     def __init__(self, head: BakedHead, views: list[tuple[BakedBoundHead, Camera]]) -> None:
         self._head, self._views = head, views
 
+    def camera(self, index: int) -> Camera:
+        """The camera of a view."""
+        return self._views[index][1]
+
     @cached_property
     def drawn(self) -> list[RenderedView]:
         """The head in every view."""
@@ -84,7 +88,7 @@ class _Batch:
 
 
 class _OfBatch:
-    """A bound head that takes its own picture of the head from a batch, and all else from itself."""
+    """A bound head that takes its view's picture of the head from a batch, and all else from itself."""
 
     def __init__(self, bound: BakedBoundHead, batch: _Batch, index: int) -> None:
         self._bound, self._batch, self._index = bound, batch, index
@@ -93,7 +97,10 @@ class _OfBatch:
         return getattr(self._bound, name)
 
     def render(self, camera: Camera, parts: tuple[Part, ...] = ("head",)) -> RenderedView:
-        """See `BoundField`; the camera is that of the view."""
+        """See `BoundField`; only the camera of the view is drawn with the batch."""
+        own = self._batch.camera(self._index)
+        if camera is not own and camera.to_dict() != own.to_dict():
+            return self._bound.render(camera, parts)
         rest: tuple[Part, ...] = tuple(part for part in parts if part != "head")
         other = self._bound.render(camera, rest) if rest else None
         images = {} if other is None else dict(other.images)
