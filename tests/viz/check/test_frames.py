@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import struct
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -12,29 +10,11 @@ import pytest
 from PIL import Image
 
 from gazenerf.errors import UserError
-from gazenerf.export.formats.datasets import SeenPoints, colmap_model, transforms
 from gazenerf.geometry import Camera
 from gazenerf.viz.check import frame_pictures
 from gazenerf.viz.check import frames as reading
 from gazenerf.viz.check.frames import read_frames
-
-CAMERAS = [Camera.orbit(np.deg2rad(yaw), 0.1, size=(40, 32)) for yaw in (-10, 0, 10)]
-
-
-def write_folder(folder: Path, cameras: list[Camera] = CAMERAS) -> dict:
-    """Pictures of one grey each and a transforms.json; the JSON's content."""
-    (folder / "images").mkdir(parents=True, exist_ok=True)
-    names = [f"{i}.png" for i in range(len(cameras))]
-    for i, name in enumerate(names):
-        grey = np.full((cameras[i].height, cameras[i].width, 3), (40 * i + 40) % 256, np.uint8)
-        Image.fromarray(grey).save(folder / "images" / name)
-    data = transforms(cameras, names)
-    save(folder, data)
-    return data
-
-
-def save(folder: Path, data: object) -> None:
-    (folder / "transforms.json").write_text(json.dumps(data))
+from tests.viz.check.frame_folders import CAMERAS, agrees, first, save, scene, textured, write_folder
 
 
 def test_what_export_writes_comes_back(tmp_path):
@@ -141,11 +121,6 @@ def test_a_pickled_depth_array_is_not_run(tmp_path):
     assert folder.frames[0].depth is None and any("1 of 3 depth files" in note for note in folder.notes)
 
 
-def first(data: dict, **changes) -> dict:
-    """The data with its first frame changed."""
-    return data | {"frames": [data["frames"][0] | changes, *data["frames"][1:]]}
-
-
 POSE = CAMERAS[0].world_from_opengl_camera
 
 
@@ -217,84 +192,6 @@ def test_sizes_and_unreadable_files_are_told(tmp_path, monkeypatch):
         read_frames(tmp_path)
 
 
-def textured(camera: Camera) -> np.ndarray:
-    """(H, W, 3) of a pattern on the plane z = 0: pictures of one scene, whatever the camera."""
-    rays_o, rays_d = camera.rays()
-    points = rays_o - rays_o[..., 2:] / rays_d[..., 2:] * rays_d
-    waves = 127 + 50 * np.sin(4.0 * points[..., 0]) + 50 * np.cos(5.0 * points[..., 1])
-    return np.repeat(waves.astype(np.uint8)[..., None], 3, axis=-1)
-
-
-def agrees(folder, index: int, away: float = 3.0) -> bool:
-    """Whether a frame that was read shows the scene as its camera sees it."""
-    frame = folder.frames[index]
-    return float(np.abs(frame.image.astype(float) - textured(frame.camera)).mean()) < away
-
-
-def scene(folder: Path, cameras: list[Camera] = CAMERAS) -> dict:
-    """Pictures of the plane; the JSON's content."""
-    data = write_folder(folder, cameras)
-    for i, camera in enumerate(cameras):
-        Image.fromarray(textured(camera)).save(folder / "images" / f"{i}.png")
-    return data
-
-
-def test_every_mode_of_a_picture_is_read_as_it_means(tmp_path):
-    data = scene(tmp_path)
-    plain = textured(CAMERAS[0])
-    grey = Image.fromarray(plain[..., 0])
-    modes = {
-        "deep.png": Image.fromarray(plain[..., 0].astype(np.uint16) * 257),
-        "grey.png": grey,
-        "palette.png": grey.convert("P"),
-        "alpha.png": Image.merge("LA", (grey, Image.new("L", grey.size, 255))),
-        "print.jpg": Image.fromarray(plain).convert("CMYK"),
-    }
-    assert modes["deep.png"].mode == "I;16" and modes["palette.png"].mode == "P"
-    for name, image in modes.items():
-        image.save(tmp_path / name, quality=98)
-        save(tmp_path, first(data, file_path=name))
-        assert np.abs(read_frames(tmp_path).images[0].astype(int) - plain).mean() < 3.0, name
-
-
-@pytest.mark.parametrize("orientation", range(1, 9))
-def test_pictures_are_turned_as_exif_says_and_it_is_told(tmp_path, orientation):
-    data = scene(tmp_path)
-    exif = Image.Exif()
-    exif[0x0112] = orientation
-    undo = {2: 0, 3: 3, 4: 1, 5: 5, 6: 2, 7: 6, 8: 4}  # the transposition that the viewer's one takes back
-    upright = Image.fromarray(textured(CAMERAS[0]))
-    stored = upright if orientation == 1 else upright.transpose(Image.Transpose(undo[orientation]))
-    stored.save(tmp_path / "turned.jpg", exif=exif, quality=98)
-    save(tmp_path, first(data, file_path="turned.jpg"))
-    folder = read_frames(tmp_path)
-    assert folder.images[0].shape == (32, 40, 3) and agrees(folder, 0)
-    assert any("1 picture was turned" in note for note in folder.notes) == (orientation != 1)
-
-
-def test_pictures_are_not_turned_where_their_camera_says_so(tmp_path):
-    data = scene(tmp_path)
-    exif = Image.Exif()
-    exif[0x0112] = 6
-    Image.fromarray(textured(CAMERAS[0])).save(tmp_path / "kept.jpg", exif=exif, quality=98)
-    save(tmp_path, first(data, file_path="kept.jpg"))
-    folder = read_frames(tmp_path)
-    assert agrees(folder, 0) and any("was not turned" in note for note in folder.notes)
-
-
-def test_a_picture_in_colours_or_of_eight_bits_is_no_depth(tmp_path):
-    data = scene(tmp_path)
-    Image.new("L", (40, 32), 9).save(tmp_path / "eight.png")
-    Image.new("RGB", (40, 32), "red").save(tmp_path / "colours.png")
-    Image.new("P", (40, 32), 3).save(tmp_path / "palette.png")
-    for frame, name in zip(data["frames"], ("eight", "colours", "palette"), strict=True):
-        frame["depth_file_path"] = f"{name}.png"
-    save(tmp_path, data)
-    folder = read_frames(tmp_path)
-    assert all(frame.depth is None for frame in folder.frames)
-    assert any("3 of 3 depth files" in note and "16-bit" in note for note in folder.notes)
-
-
 def test_two_resolutions_become_one_with_their_cameras(tmp_path):
     wide = Camera.orbit(np.deg2rad(20), 0.1, size=(96, 64))
     data = scene(tmp_path, [*CAMERAS, wide])
@@ -359,53 +256,3 @@ def test_fisheye_lenses_are_straightened(tmp_path):
     found = read_frames(tmp_path).images[0][25:-25, 25:-25, 0].astype(float)
     error = np.abs(found - straight[25:-25, 25:-25]).mean()
     assert error < 1.0 and np.abs(bent[25:-25, 25:-25].astype(float) - straight[25:-25, 25:-25]).mean() > 4.0 * error
-
-
-def colmap_folder(folder: Path, kind: str) -> None:
-    """The scene as COLMAP has it, its model as text or binary."""
-    scene(folder)
-    (folder / "transforms.json").unlink()
-    model = folder / "sparse" / "0"
-    model.mkdir(parents=True)
-    nothing = SeenPoints(np.zeros((2, 2)), np.zeros((2, 3)), np.zeros((2, 3), np.uint8))
-    texts = colmap_model(CAMERAS, [f"{i}.png" for i in range(3)], [nothing] * 3)
-    if kind == "txt":
-        for name, text in texts.items():
-            (model / name).write_text(text)
-        return
-    cameras = [line.split() for line in texts["cameras.txt"].splitlines() if not line.startswith("#")]
-    packed = struct.pack("<Q", len(cameras))
-    for number, _, width, height, *values in cameras:
-        packed += struct.pack("<iiQQ4d", int(number), 1, int(width), int(height), *map(float, values))
-    (model / "cameras.bin").write_bytes(packed)
-    images = [line for line in texts["images.txt"].splitlines() if not line.startswith("#")][::2]
-    packed = struct.pack("<Q", len(images))
-    for words in map(str.split, images):
-        packed += struct.pack("<i7di", int(words[0]), *map(float, words[1:8]), int(words[8]))
-        packed += words[9].encode() + b"\0" + struct.pack("<Q", 2) + bytes(48)
-    (model / "images.bin").write_bytes(packed)
-
-
-@pytest.mark.parametrize("kind", ["txt", "bin"])
-def test_colmap_models_are_read(tmp_path, kind):
-    colmap_folder(tmp_path, kind)
-    folder = read_frames(tmp_path)
-    assert [frame.name for frame in folder.frames] == ["0.png", "1.png", "2.png"]
-    for mine, theirs in zip(folder.cameras, CAMERAS, strict=True):
-        assert mine.world_from_camera == pytest.approx(theirs.world_from_camera, abs=1e-6)
-        assert mine.intrinsics == pytest.approx(theirs.intrinsics)
-    assert all(agrees(folder, i) for i in range(3))
-
-
-@pytest.mark.parametrize("kind", ["txt", "bin"])
-def test_damaged_colmap_models_are_one_line(tmp_path, kind):
-    colmap_folder(tmp_path, kind)
-    for name in ("cameras", "images"):
-        file = tmp_path / "sparse" / "0" / f"{name}.{kind}"
-        whole = file.read_bytes()
-        for damage in (whole[: len(whole) // 2 - 3], whole[:9], b"\xff" * 200, whole[:8] + b"\xff" * len(whole)):
-            file.write_bytes(damage)
-            with pytest.raises(UserError) as caught:
-                read_frames(tmp_path)
-            assert "\n" not in str(caught.value)
-        file.write_bytes(whole)
