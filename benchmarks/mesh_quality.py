@@ -13,7 +13,6 @@ everywhere. `--pictures DIR` also writes each mesh under one hard light.
 from __future__ import annotations
 
 import argparse
-import json
 import time
 import warnings
 from collections.abc import Callable
@@ -26,13 +25,13 @@ import torch
 import trimesh
 from PIL import Image
 
+from benchmarks.measure import write_json
 from gazenerf.evaluation.face_crop import FaceCrop, face_crop
 from gazenerf.export import MeshOptions, extract_part
 from gazenerf.export.mesh.face_distance import POINTS
 from gazenerf.export.mesh.rays import ray_scene
 from gazenerf.export.surface.coverage import RenderedDepth
 from gazenerf.export.surface.known_surface import with_known_surface
-from gazenerf.files import whole_file
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model import ReferenceHead
 from gazenerf.head_model.interface import FACE, HeadMesh
@@ -74,9 +73,8 @@ class Reference:
         """Nearest points (N, 3) on the face and unit normals (N, 3) there, of points (N, 3)."""
         found = self._scene.compute_closest_points(np.ascontiguousarray(points, np.float32))
         u, v = found["primitive_uvs"].numpy().T
-        corners = self._normals[self._faces[found["primitive_ids"].numpy()]]
-        normals = np.einsum("kn,nkc->nc", np.stack([1.0 - u - v, u, v]), corners)
-        return found["points"].numpy(), normals / np.linalg.norm(normals, axis=1, keepdims=True)
+        faces = self._faces[found["primitive_ids"].numpy()]
+        return found["points"].numpy(), mixed(self._normals, faces, np.column_stack([1.0 - u - v, u, v]))
 
     def distances(self, points: np.ndarray, mm: float) -> dict[str, float]:
         """How far points (N, 3) in the crop are from the face; `mm` is millimetres per unit, outside counts as more."""
@@ -95,9 +93,14 @@ class Reference:
         inside = self.crop.contains(points)
         points, face = np.asarray(points)[inside], np.asarray(face)[inside]
         share = trimesh.triangles.points_to_barycentric(np.asarray(mesh.triangles)[face], points)
-        mixed = np.einsum("nk,nkc->nc", share, normals[np.asarray(mesh.faces)[face]])
-        mixed /= np.maximum(np.linalg.norm(mixed, axis=1, keepdims=True), 1e-12)
-        return float(np.median(np.rad2deg(np.arccos(np.clip((mixed * self.nearest(points)[1]).sum(axis=1), -1, 1)))))
+        shown = mixed(normals, np.asarray(mesh.faces)[face], share)
+        return float(np.median(np.rad2deg(np.arccos(np.clip((shown * self.nearest(points)[1]).sum(axis=1), -1, 1)))))
+
+
+def mixed(normals: np.ndarray, faces: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """(N, 3) unit normals at points of faces (N, 3), from those of vertices (V, 3) by barycentric shares (N, 3)."""
+    found = np.einsum("nk,nkc->nc", shares, normals[faces])
+    return found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-12)
 
 
 def measured(bound: BoundField, reference: Reference, options: MeshOptions) -> tuple[dict[str, Any], trimesh.Trimesh]:
@@ -141,11 +144,10 @@ def hard_light(mesh: trimesh.Trimesh, normals: np.ndarray, size: int = 700) -> I
     found = scene.cast_rays(rays)
     hit = np.isfinite(found["t_hit"].numpy())
     u, v = found["primitive_uvs"].numpy()[hit].T
-    corners = normals[np.asarray(mesh.faces)[found["primitive_ids"].numpy()[hit]]]
-    mixed = np.einsum("kn,nkc->nc", np.stack([1.0 - u - v, u, v]), corners)
-    mixed /= np.maximum(np.linalg.norm(mixed, axis=1, keepdims=True), 1e-12)
+    faces = np.asarray(mesh.faces)[found["primitive_ids"].numpy()[hit]]
+    shown = mixed(normals, faces, np.column_stack([1.0 - u - v, u, v]))
     picture = np.full(len(rays), 255, np.uint8)
-    picture[hit] = 255.0 * np.clip(0.05 + 0.95 * (mixed @ LIGHT), 0.0, 1.0) ** (1.0 / 2.2)
+    picture[hit] = 255.0 * np.clip(0.05 + 0.95 * (shown @ LIGHT), 0.0, 1.0) ** (1.0 / 2.2)
     return Image.fromarray(picture.reshape(size, size))
 
 
@@ -191,10 +193,8 @@ def main() -> None:
             args.pictures.mkdir(parents=True, exist_ok=True)
             for title, normals in shaded.items():
                 hard_light(mesh, normals).save(args.pictures / f"{title.replace(',', '').replace(' ', '-')}.png")
-    if args.out is not None:
-        with whole_file(args.out) as temporary:
-            about = {"weights_hash": bound.weights_hash, "threads": torch.get_num_threads(), "subject": args.subject}
-            temporary.write_text(json.dumps(about | {"rows": rows}, indent=2))
+    about = {"weights_hash": bound.weights_hash, "threads": torch.get_num_threads(), "subject": args.subject}
+    write_json(args.out, about | {"rows": rows})
 
 
 if __name__ == "__main__":

@@ -29,7 +29,8 @@ from gazenerf.heads import Head
 from gazenerf.heads.interface import HeadField
 from gazenerf.subjects import Codes, Subject
 from gazenerf.training.run import TrainOptions, train_field
-from gazenerf.viz.metrics.eyes import gaze_errors, sweep_eyes
+from gazenerf.viz.metrics.eyes import sweep_eyes
+from gazenerf.viz.metrics.readings import of_eyes
 
 FIELD = {"feature_size": 64, "hidden": 96, "feature_channels": 48}
 """Small enough for minutes on one core: 64 feature pixels, streams of width 96."""
@@ -52,6 +53,9 @@ OUTSIDE = ((0.0, 40.0), (0.0, -40.0), (0.0, 45.0), (0.0, -45.0))
 SWEEP_SIZE = 256
 """Pixels of the pictures on which irises are read."""
 
+WITHIN = ("gaze_error_deg", "gaze_slope", "gaze_crosstalk", "gaze_nonlinear_deg", "gaze_spread_deg", "eye_drift_mm")
+"""What `gazenerf check` measures of the eyes, over the gazes `INSIDE`."""
+
 ROWS = {
     "psnr_head": ("PSNR head, dB", 2),
     "psnr_eyes": ("PSNR eyes, dB", 2),
@@ -59,13 +63,13 @@ ROWS = {
     "gaze_commanded_deg": ("gaze by estimator, deg", 2),
     "depth_eyes_median_mm": ("depth of the eyes, mm", 2),
     "depth_median_mm": ("depth, mm", 2),
-    "iris_inside_deg": ("gaze by iris, inside the trained range, deg", 2),
-    "iris_outside_deg": ("the same outside, deg", 2),
-    "iris_outside_found": ("irises found outside", 2),
-    "response": ("gaze response, deviation from 1", 3),
-    "crosstalk": ("pitch from yaw or yaw from pitch", 3),
-    "nonlinear_deg": ("deviation from a straight line, deg", 2),
-    "spread_deg": ("spread over views, deg", 2),
+    "gaze_error_deg": ("gaze by iris, inside the trained range, deg", 2),
+    "gaze_error_outside_deg": ("the same outside, deg", 2),
+    "irises_outside": ("irises found outside", 2),
+    "gaze_slope": ("gaze response, deviation from 1", 3),
+    "gaze_crosstalk": ("pitch from yaw or yaw from pitch", 3),
+    "gaze_nonlinear_deg": ("deviation from a straight line, deg", 2),
+    "gaze_spread_deg": ("spread over views, deg", 2),
     "eye_drift_mm": ("eyeball centre over the sweep, mm", 3),
 }
 """Measurement to its heading and digits in the table."""
@@ -109,8 +113,7 @@ def measure(field: Path, options: argparse.Namespace) -> dict[str, dict[str, flo
 
 def first_codes(captures: CaptureSet, person: int) -> Codes:
     """A person's codes with a neutral expression."""
-    codes = next(captures[i].codes for i in range(len(captures)) if captures[i].person == person)
-    return Codes(codes.identity, np.zeros_like(codes.expression), codes.texture, codes.illumination)
+    return next(captures[i].codes for i in range(len(captures)) if captures[i].person == person).neutral
 
 
 def sweep_group(model: TwoStreamField, people: list[Codes]) -> dict[str, float]:
@@ -125,18 +128,11 @@ def sweep_person(model: TwoStreamField, codes: Codes) -> dict[str, float]:
     reference = ReferenceHead(load_head_model(), codes)
     inside = sweep_eyes(head, reference, [Gaze.from_degrees(*gaze) for gaze in INSIDE], SWEEP_SIZE)
     outside = sweep_eyes(head, reference, [Gaze.from_degrees(*gaze) for gaze in OUTSIDE], SWEEP_SIZE)
-    slope = inside.response
-    centres = np.stack([inside.centres[eye] for eye in ("left", "right")])
-    drift = np.linalg.norm(centres - centres.mean(1, keepdims=True), axis=-1)
-    return {
-        "iris_inside_deg": float(gaze_errors(inside.rows).mean()) if len(inside.rows) else float("nan"),
-        "iris_outside_deg": float(gaze_errors(outside.rows).mean()) if len(outside.rows) else float("nan"),
-        "iris_outside_found": len(outside.rows) / (2 * len(OUTSIDE)),
-        "response": float(np.abs(np.diag(slope) - 1.0).max()),
-        "crosstalk": float(max(abs(slope[0, 1]), abs(slope[1, 0]))),
-        "nonlinear_deg": inside.nonlinear_deg,
-        "spread_deg": float(np.nanmean(np.stack(list(inside.spread_deg.values())))),
-        "eye_drift_mm": float(np.sqrt((drift**2).mean(1)).max() * 1000.0 * model.config.metres_per_unit),
+    metres = model.config.metres_per_unit
+    within, beyond = of_eyes(inside, metres), of_eyes(outside, metres)
+    return {name: within[name][0] for name in WITHIN} | {
+        "gaze_error_outside_deg": beyond["gaze_error_deg"][0],
+        "irises_outside": len(outside.rows) / (2 * len(OUTSIDE)),
     }
 
 

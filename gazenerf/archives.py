@@ -12,11 +12,10 @@ import pickle
 import pickletools
 import struct
 import zipfile
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Protocol
+from typing import Any, Self
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -28,24 +27,39 @@ MAX_ENTRIES = 2**17
 LEGACY_START = pickle.dumps(0x1950A86A20F9469CFC6C, protocol=2)
 """The magic number, pickled, with which files of `torch.save` before version 1.6 begin."""
 
-_SAFETENSORS = {"F64": torch.float64, "F32": torch.float32, "F16": torch.float16, "BF16": torch.bfloat16}
+FLOATING = {"F64": torch.float64, "F32": torch.float32, "F16": torch.float16, "BF16": torch.bfloat16}
+"""Safetensors' names of the numbers that weights are made of."""
 
 
-class Archive(Protocol):
-    """An opened file of weights."""
+class Archive(ABC):
+    """A file of weights, open for reading; a context manager.
+
+    Attributes:
+        content: What was saved; see `pickles.read_program`.
+    """
 
     content: Any
 
+    @abstractmethod
     def tensor(self, record: TensorRecord) -> torch.Tensor:
         """Read a tensor of the content.
 
         Raises:
-            ValueError, zipfile.BadZipFile: its numbers are damaged or missing.
+            ValueError, zipfile.BadZipFile: its numbers are damaged or missing, or it reaches outside its storage.
         """
-        ...
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close the file."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
 
-def open_archive(path: Path) -> AbstractContextManager[Archive]:
+def open_archive(path: Path) -> Archive:
     """The file opened in the form that it has.
 
     Raises:
@@ -99,14 +113,11 @@ def numbers_of(record: TensorRecord, read: Callable[[], bytes]) -> torch.Tensor:
     return numbers.as_strided(record.shape, record.stride, record.offset).clone()
 
 
-class TorchArchive:
-    """A `torch.save` file, open for reading; a context manager.
+class TorchArchive(Archive):
+    """What `torch.save` writes since version 1.6.
 
     Args:
         path: The file.
-
-    Attributes:
-        content: What was saved, see `pickles.read_program`.
 
     Raises:
         zipfile.BadZipFile, pickle.UnpicklingError, ValueError, OSError: it is damaged, too large,
@@ -149,35 +160,24 @@ class TorchArchive:
         return self._entries[name]
 
     def tensor(self, record: TensorRecord) -> torch.Tensor:
-        """Read a tensor.
-
-        Raises:
-            ValueError: it reaches outside its storage or is larger than it; BadZipFile: damaged.
-        """
+        """See `Archive`."""
         entry = self._entry(f"data/{record.storage.key}")
         check_record(record, entry.file_size)
         return numbers_of(record, lambda: self._zip.read(entry))
 
-    def __enter__(self) -> TorchArchive:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """See `Archive`."""
         self._zip.close()
 
 
-class LegacyArchive:
-    """A file that `torch.save` wrote before version 1.6, open for reading; a context manager.
+class LegacyArchive(Archive):
+    """What `torch.save` wrote before version 1.6.
 
     It is a row of pickles (a magic number, the version, the machine, what was saved, the names of the
     storages) and then, for each storage, its length and its numbers.
 
     Args:
         path: The file.
-
-    Attributes:
-        content: What was saved; see `pickles.read_program`.
 
     Raises:
         pickle.UnpicklingError, ValueError, OSError: as for `TorchArchive`.
@@ -219,11 +219,7 @@ class LegacyArchive:
             place += 8 + nbytes
 
     def tensor(self, record: TensorRecord) -> torch.Tensor:
-        """Read a tensor.
-
-        Raises:
-            ValueError: it reaches outside its storage or is larger than it.
-        """
+        """See `Archive`."""
         if record.storage.key not in self._places:
             raise ValueError(f"the storage {record.storage.key!r} is missing")
         place, nbytes = self._places[record.storage.key]
@@ -235,12 +231,8 @@ class LegacyArchive:
 
         return numbers_of(record, read)
 
-    def __enter__(self) -> LegacyArchive:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """See `Archive`."""
         self._file.close()
 
 
@@ -259,17 +251,14 @@ def _one_program(stream: io.BytesIO, programs: bytes) -> bytes:
     return programs[start : stream.tell()]
 
 
-class SafetensorsArchive:
-    """A safetensors file, open for reading; a context manager.
+class SafetensorsArchive(Archive):
+    """A safetensors file; its content is name to `TensorRecord`.
 
     Args:
         path: The file.
 
-    Attributes:
-        content: Name to `TensorRecord`.
-
     Raises:
-        ValueError, OSError: it is damaged, too large, or holds something that is no floating-point number.
+        ValueError, OSError: it is damaged or too large.
     """
 
     def __init__(self, path: Path) -> None:
@@ -285,16 +274,12 @@ class SafetensorsArchive:
         part = self._file.get_slice(name)
         kind, shape = part.get_dtype(), tuple(part.get_shape())
         stride = tuple(math.prod(shape[i + 1 :]) for i in range(len(shape)))
-        return TensorRecord(Storage(_SAFETENSORS.get(kind, torch.int64), name, math.prod(shape)), 0, shape, stride)
+        return TensorRecord(Storage(FLOATING.get(kind, torch.int64), name, math.prod(shape)), 0, shape, stride)
 
     def tensor(self, record: TensorRecord) -> torch.Tensor:
-        """Read a tensor."""
+        """See `Archive`."""
         return self._file.get_tensor(record.storage.key)
 
-    def __enter__(self) -> SafetensorsArchive:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._open.__exit__(kind, error, trace)
+    def close(self) -> None:
+        """See `Archive`."""
+        self._open.__exit__(None, None, None)

@@ -18,7 +18,7 @@ from typing import Any
 import torch
 from safetensors.torch import save_file
 
-from gazenerf.archives import open_archive
+from gazenerf.archives import FLOATING, open_archive
 from gazenerf.errors import UserError
 from gazenerf.field.config import FieldConfig
 from gazenerf.field.model import TwoStreamField
@@ -108,10 +108,10 @@ def _load(path: Path) -> TwoStreamField:
         about = parse_json(metadata["about"])
         if not isinstance(about, dict):
             raise ValueError("its provenance is not an object")
-        found = {name: tuple(file.get_slice(name).get_shape()) for name in file.keys()}  # noqa: SIM118
-        check_shapes(found, config)
-        for name in found:
-            if (kind := file.get_slice(name).get_dtype()) not in ("F64", "F32", "F16", "BF16"):
+        found = {name: file.get_slice(name) for name in file.keys()}  # noqa: SIM118
+        check_shapes({name: tuple(part.get_shape()) for name, part in found.items()}, config)
+        for name, part in found.items():
+            if (kind := part.get_dtype()) not in FLOATING:
                 raise ValueError(f"{name} holds {kind} where weights are floating-point numbers")
         weights = {name: file.get_tensor(name).float() for name in found}
     field = field_from_weights(weights, config, str(path))

@@ -167,7 +167,7 @@ _NAMES: dict[tuple[str, str], Any] = {
 }
 """What the names of a checkpoint stand for. None of it can do anything."""
 
-_NEVER = sys.stdlib_module_names | {"__builtin__", "__main__.__builtins__", "copy_reg", "nt", "posix", "torch", "numpy"}
+_NEVER = sys.stdlib_module_names | {"__builtin__", "copy_reg", "torch", "numpy"}
 """Packages of which only the names above are read: everything else in them is a tool and no one's settings."""
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +55,11 @@ class Codes:
     def sizes(self) -> tuple[int, int, int, int]:
         """(identity, expression, texture, illumination)."""
         return self.identity.size, self.expression.size, self.texture.size, self.illumination.size
+
+    @property
+    def neutral(self) -> Codes:
+        """The same person and light with a neutral expression."""
+        return replace(self, expression=np.zeros_like(self.expression))
 
     @property
     def shape_code(self) -> np.ndarray:

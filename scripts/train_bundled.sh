@@ -4,8 +4,9 @@
 # --minutes is the time of training alone; the schedule is shaped to it, so that the run ends finished at any speed.
 # --dry-run does all of it at toy size on the CPU in about a minute and writes nothing outside FOLDER.
 # Two sets are synthesized with one seed: `people`, 396 people with 12 views each, and `watched`, persons 0 to 13 with
-# 60 views each, with few expressions at a time, as the bundled field has seen them. `learned` joins them without persons 12 and 13, whom no training sees; `watched` is measured on: every
-# twentieth view of persons 0 to 11, and 12 and 13. What was synthesized before is kept.
+# 60 views each, with few expressions at a time, as the bundled field has seen them. `learned` joins them without
+# persons 12 and 13, whom no training sees; `watched` is measured on: every twentieth view of persons 0 to 11, and 12
+# and 13. What was synthesized before is kept.
 # The malloc settings of training keep freed memory in the process, which halves the time of a step on a CPU.
 set -euo pipefail
 case ${1:-} in

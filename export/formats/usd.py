@@ -100,8 +100,9 @@ class _Stage:
         shape.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
         shape.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
         shape.CreateExtentAttr([Gf.Vec3f(*map(float, corner)) for corner in (vertices.min(0), vertices.max(0))])
-        material = UsdShade.Material.Define(self.stage, f"{path}/{node.name}_material")
-        surface = _shader(self.stage, f"{path}/{node.name}_material/surface", "UsdPreviewSurface")
+        looks = f"{path}/{node.name}_material"
+        material = UsdShade.Material.Define(self.stage, looks)
+        surface = _shader(self.stage, f"{looks}/surface", "UsdPreviewSurface")
         surface.CreateInput("metallic", Sdf.ValueTypeNames.Float).Set(0.0)
         surface.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(node.roughness)
         colour = surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
@@ -112,9 +113,9 @@ class _Stage:
             uv = np.asarray(node.texture.uv, np.float32) * np.array([1, -1], np.float32) + np.array([0, 1], np.float32)
             st.Set(Vt.Vec2fArray.FromNumpy(uv))
             (self.folder / f"{node.name}.png").write_bytes(node.texture.png)
-            reader = _shader(self.stage, f"{path}/{node.name}_material/st", "UsdPrimvarReader_float2")
+            reader = _shader(self.stage, f"{looks}/st", "UsdPrimvarReader_float2")
             reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
-            picture = _shader(self.stage, f"{path}/{node.name}_material/picture", "UsdUVTexture")
+            picture = _shader(self.stage, f"{looks}/picture", "UsdUVTexture")
             picture.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(f"./{node.name}.png")
             picture.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set("sRGB")
             for wrap in ("wrapS", "wrapT"):
@@ -126,7 +127,7 @@ class _Stage:
         elif colours is not None:
             linear = linear_from_srgb(colours[:, :3] / 255.0).astype(np.float32)
             shape.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex).Set(Vt.Vec3fArray.FromNumpy(linear))
-            reader = _shader(self.stage, f"{path}/{node.name}_material/colour", "UsdPrimvarReader_float3")
+            reader = _shader(self.stage, f"{looks}/colour", "UsdPrimvarReader_float3")
             reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("displayColor")
             colour.ConnectToSource(reader.CreateOutput("result", Sdf.ValueTypeNames.Float3))
         material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", Sdf.ValueTypeNames.Token))

@@ -126,8 +126,7 @@ def evaluate_field(
         done += 1
         progress(f"measuring, person {capture.person} view {capture.view}", done, total)
     for person in people:
-        codes = next(capture.codes for capture in captures if capture.person == person)
-        still = Codes(codes.identity, np.zeros_like(codes.expression), codes.texture, codes.illumination)
+        still = next(capture.codes for capture in captures if capture.person == person).neutral
         head = Head(model, Subject("iris", still, still), precision=precision)
         for pitch, yaw in iris_gazes:
             for row in _iris_rows(head, Gaze.from_degrees(pitch, yaw), head_model, instruments):

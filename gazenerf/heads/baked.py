@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -270,6 +270,18 @@ class BakedBoundHead:
 
     def render(self, camera: Camera, parts: tuple[Part, ...] = ("head",)) -> RenderedView:
         """See `BoundField`; only `head` is baked."""
+        draw = partial(draw_together, [self], [camera])
+        return self.render_with(camera, parts, lambda: self.bound.head.within_memory(draw)[0])
+
+    def render_with(
+        self, camera: Camera, parts: tuple[Part, ...], draw: Callable[[], tuple[np.ndarray, GeometryView]]
+    ) -> RenderedView:
+        """`render` with the picture of the head and its geometry from elsewhere.
+
+        Args:
+            camera, parts: As for `render`.
+            draw: Gives both, if they are wanted.
+        """
         rest: tuple[Part, ...] = tuple(part for part in parts if part != "head")
         images: dict[Part, np.ndarray] = {}
         geometry: dict[Part, GeometryView] = {}
@@ -277,11 +289,8 @@ class BakedBoundHead:
             view = self.bound.render(camera, rest)
             images, geometry = dict(view.images), dict(view.geometry)
         if "head" in parts:
-            images["head"], geometry["head"] = self.bound.head.within_memory(lambda: self._render_head(camera))
+            images["head"], geometry["head"] = draw()
         return RenderedView(camera, {part: images[part] for part in parts}, geometry)
-
-    def _render_head(self, camera: Camera) -> tuple[np.ndarray, GeometryView]:
-        return draw_together([self], [camera])[0]
 
 
 def draw_together(bounds: Sequence[BakedBoundHead], cameras: Sequence[Camera]) -> list[tuple[np.ndarray, GeometryView]]:

@@ -262,16 +262,10 @@ class Head:
         return picture if seen.matte is None else cut_out(picture, self._picture_behind(*shape), seen.matte)
 
     def pictures(self, seen: RayFeatures, shape: tuple[int, int]) -> torch.Tensor:
-        """(B, 3, h * k, w * k) pictures of B feature maps (h, w), all up-sampled at once where the head is on a GPU."""
-        size = shape[0] * shape[1]
-        count = len(seen.features) // size
+        """(B, 3, h * k, w * k) pictures of B feature maps (h, w), all up-sampled at once."""
+        count = len(seen.features) // (shape[0] * shape[1])
         if count == 1:
             return self.picture(seen, shape)[None]
-        if self.device.type == "cpu":  # one after another: most of each map shows nothing and is left out
-            whole = [None] * count if seen.matte is None else list(seen.matte)
-            parts = zip(seen.features.split(size), seen.opacity.split(size), seen.distance.split(size), strict=True)
-            maps = (RayFeatures(*part, matte=matte) for part, matte in zip(parts, whole, strict=True))
-            return torch.stack([self.picture(one, shape) for one in maps])
         pictures = self.upsample(seen.features.reshape(count, *shape, -1).permute(0, 3, 1, 2).contiguous())
         return pictures if seen.matte is None else cut_out(pictures, self._picture_behind(*shape), seen.matte)
 

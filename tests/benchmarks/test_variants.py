@@ -42,7 +42,7 @@ def test_a_run_goes_on_where_it_was_and_is_measured_once(tmp_path, monkeypatch):
 def test_the_table_has_medians_over_seeds_and_no_more_digits_than_it_should(tmp_path):
     for seed, value in ((1, 5.0), (2, 1.0), (3, 2.123)):
         (tmp_path / f"rigid-{seed}").mkdir()
-        row = {"iris_inside_deg": value}
+        row = {"gaze_error_deg": value}
         report = {"trained": row, "unseen": {}}
         (tmp_path / f"rigid-{seed}" / "measured.json").write_text(json.dumps(report))
     found = variants.table(tmp_path, "eyes")

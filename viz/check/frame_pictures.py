@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -43,38 +44,53 @@ def picture_size(file: Path) -> tuple[int, int]:
     return size
 
 
-def turned(file: Path) -> int:
-    """The EXIF orientation of a picture, 1 where it is upright or says nothing."""
-    try:
-        with Image.open(file, formats=FORMATS) as image:
-            found = image.getexif().get(ExifTags.Base.Orientation, 1)
-    except (OSError, ValueError, SyntaxError) as error:
-        raise UserError(f"{file} cannot be read: {str(error)[:120]}") from error
-    return found if isinstance(found, int) and 1 <= found <= 8 else 1
+@dataclass(frozen=True)
+class Picture:
+    """A picture as it was read.
+
+    Attributes:
+        pixels: (H, W, 3) uint8 sRGB.
+        turned: It was turned as its EXIF orientation says.
+        kept: It was not, because its camera is that of the picture as it is stored.
+    """
+
+    pixels: np.ndarray
+    turned: bool
+    kept: bool
 
 
-def read_picture(file: Path, upright: bool = False) -> np.ndarray:
-    """(H, W, 3) uint8 sRGB of a picture in any mode: grey of 16 bits is scaled, transparency laid on white.
+def read_picture(file: Path, told: tuple[object, object]) -> Picture:
+    """A picture in any mode: grey of 16 bits is scaled, transparency laid on white.
+
+    It is turned as its EXIF orientation says, unless its camera speaks of the width and height that are stored.
 
     Args:
-        file: PNG, JPEG or WebP.
-        upright: Turn it as its EXIF orientation says.
+        file: PNG, JPEG or WebP, of a size that `picture_size` lets pass.
+        told: Width and height that its camera speaks of; anything else where it does not.
 
     Raises:
         UserError: it cannot be read.
     """
     try:
         with Image.open(file, formats=FORMATS) as opened:
-            image = ImageOps.exif_transpose(opened) if upright else opened
-            if image.mode in DEEP:
-                grey = np.clip(np.asarray(image, dtype=np.float64) / 257.0, 0.0, 255.0)
-                return np.repeat(np.round(grey).astype(np.uint8)[..., None], 3, axis=-1)
-            if "A" in image.getbands() or "transparency" in image.info:
-                image = image.convert("RGBA")
-                image = Image.alpha_composite(Image.new("RGBA", image.size, "white"), image)
-            return np.array(image.convert("RGB"))
+            orientation = opened.getexif().get(ExifTags.Base.Orientation, 1)
+            known = orientation in range(2, 9)
+            kept = known and orientation in SIDEWAYS and opened.width != opened.height and told == opened.size
+            turned = known and not kept
+            image = ImageOps.exif_transpose(opened) if turned else opened
+            return Picture(_srgb(image), turned, kept)
     except (OSError, ValueError, SyntaxError) as error:
         raise UserError(f"{file} cannot be read: {str(error)[:120]}") from error
+
+
+def _srgb(image: Image.Image) -> np.ndarray:
+    if image.mode in DEEP:
+        grey = np.clip(np.asarray(image, dtype=np.float64) / 257.0, 0.0, 255.0)
+        return np.repeat(np.round(grey).astype(np.uint8)[..., None], 3, axis=-1)
+    if "A" in image.getbands() or "transparency" in image.info:
+        image = image.convert("RGBA")
+        image = Image.alpha_composite(Image.new("RGBA", image.size, "white"), image)
+    return np.array(image.convert("RGB"))
 
 
 def read_depth(file: Path, shape: tuple[int, int]) -> np.ndarray | None:

@@ -18,7 +18,7 @@ from gazenerf.files import read_json
 from gazenerf.geometry import Camera
 from gazenerf.viz.check.colmap_model import colmap_frames, model_folder
 from gazenerf.viz.check.frame_cameras import number, read_camera
-from gazenerf.viz.check.frame_pictures import SIDEWAYS, picture_size, read_depth, read_picture, turned
+from gazenerf.viz.check.frame_pictures import picture_size, read_depth, read_picture
 
 TRANSFORMS = "transforms.json"
 OTHER_TRANSFORMS = "transforms_train.json"
@@ -174,22 +174,18 @@ class _Taken:
 
     @classmethod
     def read(cls, root: Path, name: str, file: Path, entry: dict[str, Any], longest: int) -> _Taken:
-        size, orientation = picture_size(file), turned(file)
-        sideways = orientation in SIDEWAYS
-        told = entry.get("w"), entry.get("h")
-        kept = sideways and size[0] != size[1] and told == size
-        upright = orientation != 1 and not kept
-        size = (size[1], size[0]) if upright and sideways else size
+        picture_size(file)  # before anything is unpacked
+        picture = read_picture(file, (entry.get("w"), entry.get("h")))
+        size = picture.pixels.shape[1], picture.pixels.shape[0]
         camera, lens, smaller = read_camera(entry, name, size)
-        image = read_picture(file, upright)
-        image = lens.straightened(image, camera) if lens else image
+        image = lens.straightened(picture.pixels, camera) if lens else picture.pixels
         names_depth = any(entry.get(key) for key in DEPTH_KEYS)
         z = _depth_z(root, entry, image.shape[:2]) if names_depth and not lens else None
         depth_lost = names_depth and z is None
         share = min(1.0, longest / max(size))
         used = (max(1, round(share * size[0])), max(1, round(share * size[1])))
         camera, image, z = _resized(camera, image, z, used)
-        return cls(name, size, camera, image, z, depth_lost, bool(lens), upright, kept, smaller)
+        return cls(name, size, camera, image, z, depth_lost, bool(lens), picture.turned, picture.kept, smaller)
 
     @property
     def size(self) -> tuple[int, int]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.heads.baked import BakedBoundHead, BakedHead
-from gazenerf.heads.interface import BoundField, HeadField, Part, RenderedView
+from gazenerf.heads.interface import BoundField, GeometryView, HeadField, Part, RenderedView
 from gazenerf.workers import in_order, pool, workers_for
 
 
@@ -101,11 +101,8 @@ class _OfBatch:
         own = self._batch.camera(self._index)
         if camera is not own and camera.to_dict() != own.to_dict():
             return self._bound.render(camera, parts)
-        rest: tuple[Part, ...] = tuple(part for part in parts if part != "head")
-        other = self._bound.render(camera, rest) if rest else None
-        images = {} if other is None else dict(other.images)
-        geometry = {} if other is None else dict(other.geometry)
-        if "head" in parts:
-            head = self._batch.drawn[self._index]
-            images["head"], geometry["head"] = head.images["head"], head.geometry["head"]
-        return RenderedView(camera, {part: images[part] for part in parts}, geometry)
+        return self._bound.render_with(camera, parts, self._drawn)
+
+    def _drawn(self) -> tuple[np.ndarray, GeometryView]:
+        view = self._batch.drawn[self._index]
+        return view.images["head"], view.geometry["head"]
