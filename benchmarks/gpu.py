@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -30,6 +30,7 @@ from gazenerf.field.model import TwoStreamField
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.heads import Head
 from gazenerf.heads.baked import bake
+from gazenerf.heads.batches import FrameBatches
 from gazenerf.heads.interface import BoundField, Part
 from gazenerf.image_metrics import psnr
 from gazenerf.subjects import Codes, Subject, bundled_subjects, load_subject
@@ -145,9 +146,16 @@ def _frames(
     for name, (view, times) in paths.items():
         taken = median_seconds(partial(_render, view, views), device, times)
         seconds[name] = {"seconds": taken, "frames_per_second": 1.0 / taken}
-    for name, gaze in (("baked, together", GAZE), ("baked, together, gaze held", Gaze())):
+    for name, some, gaze in (
+        ("guided, together", head, GAZE),
+        ("baked, together", baked, GAZE),
+        ("baked, together, gaze held", baked, Gaze()),
+    ):
+        bound, frames = some.at(gaze), cast(FrameBatches[Any], some.frames)
+        frames.render([(bound, camera) for camera in views])  # measures what a frame takes of the memory
+        wait(device)
         started = time.perf_counter()
-        baked.render_together([(baked.at(gaze), camera) for camera in views])
+        frames.render([(bound, camera) for camera in views])
         wait(device)
         taken = (time.perf_counter() - started) / len(views)
         seconds[name] = {"seconds": taken, "frames_per_second": 1.0 / taken}

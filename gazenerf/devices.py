@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
 import torch
 
 from gazenerf.errors import UserError
@@ -73,3 +77,41 @@ def is_out_of_memory(error: BaseException) -> bool:
     if isinstance(error, torch.OutOfMemoryError):
         return True
     return isinstance(error, RuntimeError) and any(text in str(error) for text in ("out of memory", "ALLOC_FAILED"))
+
+
+def free_memory(device: torch.device) -> int | None:
+    """Bytes of a GPU's memory that PyTorch can still hand out, None for a CPU."""
+    if device.type != "cuda" or not torch.cuda.is_available():
+        return None
+    free, _ = torch.cuda.mem_get_info(device)
+    return free + torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
+
+
+@dataclass
+class WatchedMemory:
+    """What a computation took of a GPU's memory.
+
+    Attributes:
+        most: Bytes at the time it held most, beyond what was held before; None for a CPU.
+    """
+
+    most: int | None = None
+
+
+@contextmanager
+def watch_memory(device: torch.device) -> Iterator[WatchedMemory]:
+    """Watches what the block takes of a GPU's memory; PyTorch's own peak is counted from here on."""
+    watched = WatchedMemory()
+    if device.type != "cuda" or not torch.cuda.is_available():
+        yield watched
+        return
+    torch.cuda.reset_peak_memory_stats(device)
+    before = torch.cuda.memory_allocated(device)
+    yield watched
+    watched.most = torch.cuda.max_memory_allocated(device) - before
+
+
+def release_memory() -> None:
+    """Give memory that PyTorch keeps for later back to the GPU, where there is one."""
+    if torch.cuda.is_available():
+        torch.cuda.empty_cache()

@@ -7,8 +7,10 @@ naming a device, reads by NumPy or mixes with the CPU's tensors fails here as it
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any
+from unittest import mock
 
 import torch
 from torch import nn
@@ -105,8 +107,19 @@ def move(module: nn.Module) -> nn.Module:
     return module
 
 
+class _Threads(ThreadPoolExecutor):
+    """Threads in which there is the pretended GPU, too; PyTorch's modes are a thread's own."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        def there() -> Any:
+            with _Making():
+                return fn(*args, **kwargs)
+
+        return super().submit(there)
+
+
 @contextmanager
 def pretended_gpu() -> Iterator[None]:
-    """Within the block there is a GPU."""
-    with _Making():
+    """Within the block there is a GPU, also in threads of `gazenerf.workers`."""
+    with mock.patch("gazenerf.workers.ThreadPoolExecutor", _Threads), _Making():
         yield

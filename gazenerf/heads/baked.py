@@ -10,8 +10,7 @@ therefore exact, and only the little that the gaze changes in the rest of the fa
 from __future__ import annotations
 
 import time
-import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -19,12 +18,12 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 
-from gazenerf.devices import is_out_of_memory
 from gazenerf.errors import UserError
 from gazenerf.field.compositing import composite
 from gazenerf.field.sampling import shell_samples
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.geometry.paths import GazeRange
+from gazenerf.heads.batches import Drawn, FrameBatches
 from gazenerf.heads.bound import BoundHead
 from gazenerf.heads.feature_map import FeatureGrid, RayFeatures, Window, add_behind, to_picture
 from gazenerf.heads.head import Head
@@ -35,9 +34,6 @@ from gazenerf.heads.render import composite_near
 
 FAINT = 1e-3
 """Samples of less weight are left out; the others share theirs."""
-
-MOST_PIXELS = 16 * 512**2
-"""Picture pixels drawn in one pass on a GPU: 16 frames of 512 px. Fewer where its memory does not do."""
 
 CORNERS = torch.tensor([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
 
@@ -160,12 +156,14 @@ class BakedHead:
     Args:
         head: What was baked; it renders what is not.
         baked: The lattices.
+
+    Attributes:
+        frames: Draws several views in one pass.
     """
 
     def __init__(self, head: Head, baked: Bake) -> None:
         self.head, self.baked, self.subject = head, baked, head.subject
-        self._most_pixels = MOST_PIXELS
-        self._told_memory = False
+        self.frames = FrameBatches(head, draw_together)
 
     @property
     def report(self) -> BakeReport:
@@ -185,52 +183,6 @@ class BakedHead:
     def at(self, gaze: Gaze) -> BakedBoundHead:
         """The same bake with the eyes turned; binds the gaze."""
         return BakedBoundHead(self.baked, self.head.at(gaze))
-
-    def render_together(self, views: Sequence[tuple[BakedBoundHead, Camera]]) -> list[RenderedView]:
-        """The head in several views, as many in one pass as memory allows.
-
-        Args:
-            views: From `at`, each with its camera; the cameras have one size.
-        """
-        done: list[RenderedView] = []
-        while len(done) < len(views):
-            some = views[len(done) : len(done) + self.frames_at_once(views[0][1])]
-            bounds, cameras = [bound for bound, _ in some], [camera for _, camera in some]
-            drawn = None
-            try:
-                if len(some) == 1:
-                    drawn = self.head.within_memory(partial(draw_together, bounds, cameras))
-                else:
-                    drawn = draw_together(bounds, cameras)
-            except RuntimeError as error:
-                if len(some) == 1 or not is_out_of_memory(error):
-                    raise
-            if drawn is None:  # not within `except`, where the error still holds the memory of the failed pass
-                self._draw_less(cameras[0], len(some))
-                continue
-            done += [
-                RenderedView(camera, {"head": image}, {"head": geometry})
-                for camera, (image, geometry) in zip(cameras, drawn, strict=True)
-            ]
-        return done
-
-    def frames_at_once(self, camera: Camera) -> int:
-        """How many pictures of a camera's size are drawn in one pass; 1 on a CPU, which draws one on each core."""
-        if self.device.type == "cpu":
-            return 1
-        return max(1, self._most_pixels // (camera.width * camera.height))
-
-    def _draw_less(self, camera: Camera, tried: int) -> None:
-        """Half as many pictures a pass from now on, which is said the first time."""
-        self._most_pixels = (tried // 2) * camera.width * camera.height
-        if torch.cuda.is_available():
-            torch.cuda.empty_cache()
-        if not self._told_memory:
-            self._told_memory = True
-            warnings.warn(
-                f"the GPU's memory is short for {tried} frames at once; going on with fewer, which is slower",
-                stacklevel=4,
-            )
 
 
 class BakedBoundHead:
@@ -270,30 +222,15 @@ class BakedBoundHead:
 
     def render(self, camera: Camera, parts: tuple[Part, ...] = ("head",)) -> RenderedView:
         """See `BoundField`; only `head` is baked."""
-        draw = partial(draw_together, [self], [camera])
-        return self.render_with(camera, parts, lambda: self.bound.head.within_memory(draw)[0])
-
-    def render_with(
-        self, camera: Camera, parts: tuple[Part, ...], draw: Callable[[], tuple[np.ndarray, GeometryView]]
-    ) -> RenderedView:
-        """`render` with the picture of the head and its geometry from elsewhere.
-
-        Args:
-            camera, parts: As for `render`.
-            draw: Gives both, if they are wanted.
-        """
         rest: tuple[Part, ...] = tuple(part for part in parts if part != "head")
-        images: dict[Part, np.ndarray] = {}
-        geometry: dict[Part, GeometryView] = {}
-        if rest:
-            view = self.bound.render(camera, rest)
-            images, geometry = dict(view.images), dict(view.geometry)
-        if "head" in parts:
-            images["head"], geometry["head"] = draw()
-        return RenderedView(camera, {part: images[part] for part in parts}, geometry)
+        view = self.bound.render(camera, rest) if rest else RenderedView(camera, {}, {})
+        if "head" not in parts:
+            return view
+        [drawn] = self.bound.head.within_memory(partial(draw_together, [self], [camera]))
+        return view.with_head(*drawn, parts)
 
 
-def draw_together(bounds: Sequence[BakedBoundHead], cameras: Sequence[Camera]) -> list[tuple[np.ndarray, GeometryView]]:
+def draw_together(bounds: Sequence[BakedBoundHead], cameras: Sequence[Camera]) -> list[Drawn]:
     """Pictures of one baked head and their geometry, computed in one pass.
 
     Args:

@@ -13,12 +13,13 @@ from typing import TypeVar
 import numpy as np
 import torch
 
-from gazenerf.devices import choose_device, is_out_of_memory, points_at_once, product_dtype
+from gazenerf.devices import choose_device, is_out_of_memory, points_at_once, product_dtype, release_memory
 from gazenerf.errors import UserError
 from gazenerf.field.model import TwoStreamField
 from gazenerf.field.streams import StreamCondition
 from gazenerf.geometry import Gaze
 from gazenerf.geometry.paths import BeyondTraining, GazeRange
+from gazenerf.heads.batches import FrameBatches, draw_guided
 from gazenerf.heads.bound import BoundHead
 from gazenerf.heads.feature_map import BEYOND, RayFeatures, cut_out, grown
 from gazenerf.heads.interface import Part
@@ -61,6 +62,9 @@ class Head:
         precision: Of matrix products, one of `gazenerf.devices.PRECISIONS`; see there for the error.
         upsampler: One of `gazenerf.heads.upsampler.BACKENDS`; when None `folded` in float32, else `reference`.
 
+    Attributes:
+        frames: Draws several views in one pass.
+
     Raises:
         UserError: code sizes differ, or PyTorch sees no such device.
     """
@@ -101,6 +105,7 @@ class Head:
         self._background: np.ndarray | None = None
         self._behind: dict[tuple[int, int], torch.Tensor] = {}
         self._told_dense = self._told_memory = False
+        self.frames = FrameBatches(self, draw_guided)
 
     def __repr__(self) -> str:
         limits = self.trained_range
@@ -206,8 +211,7 @@ class Head:
         with self._lock:
             self.chunk = max(LEAST_CHUNK, self.chunk // 4)
             told, self._told_memory = self._told_memory, True
-        if self.device.type == "cuda":
-            torch.cuda.empty_cache()
+        release_memory()
         if not told:
             warnings.warn(
                 f"the GPU's memory is short; going on with fewer points at once ({self.chunk:,}), which is slower",
@@ -356,6 +360,11 @@ class Head:
         if share > EVERYWHERE:
             self.warn_dense(f"density fills {share:.0%} of the box")
         return share <= EVERYWHERE
+
+    @property
+    def drawn_together(self) -> bool:
+        """Can several pictures be drawn in one pass? Those of two streams sampled around one surface."""
+        return self.sampler == "guided" and len(self.field.streams) > 1 and self.field.config.merge == "joint"
 
     def warn_dense(self, reason: str) -> None:
         """Warn once that there is no surface to sample around."""

@@ -87,6 +87,11 @@ class RenderedView:
         """(H, W, 3) uint8 picture of a part, as files hold it."""
         return (255.0 * np.clip(self.images[part], 0.0, 1.0)).round().astype(np.uint8)
 
+    def with_head(self, image: np.ndarray, geometry: GeometryView, parts: tuple[Part, ...]) -> RenderedView:
+        """This view and the picture (H, W, 3) of the head with its geometry, in the order of `parts`."""
+        images, seen = {**self.images, "head": image}, {**self.geometry, "head": geometry}
+        return RenderedView(self.camera, {part: images[part] for part in parts}, {part: seen[part] for part in parts})
+
     def save(self, path: str | Path, part: Part = "head") -> None:
         """Write the picture of a part as PNG, JPEG or WebP, by the file's name."""
         Image.fromarray(self.pixels(part)).save(path)

@@ -92,9 +92,9 @@ def _feature_map(
     found = composite_rays(bound, grid.rays_o, grid.rays_d, streams, background, sparse=sparse)
     if not sparse:  # outlines of published fields are left as they are
         return found
-    seen = found.opacity[found.opacity > 0]
-    if len(seen) and float(seen.median()) < SHALLOW:
-        bound.head.warn_dense(f"a shell around the surface holds {float(seen.median()):.0%} of what is seen")
+    if is_hazy(found.opacity):
+        share = float(found.opacity[found.opacity > 0].median())
+        bound.head.warn_dense(f"a shell around the surface holds {share:.0%} of what is seen")
         return composite_rays(bound, grid.rays_o, grid.rays_d, streams, background, sparse=False)
     found = _with_what_is_behind(bound, found, grid.rays_o, grid.rays_d, streams, background)
     return grid.smooth_outline(
@@ -103,6 +103,12 @@ def _feature_map(
         found,
         cut=streams != ("eyes",) and bound.field.config.merge == "joint",
     )
+
+
+def is_hazy(opacity: torch.Tensor) -> bool:
+    """Do shells around the surfaces of a picture's rays (R,) hold too little of what is seen, so that it is haze?"""
+    seen = opacity[opacity > 0]
+    return len(seen) > 0 and float(seen.median()) < SHALLOW
 
 
 def _on_background(bound: BoundHead, picture: torch.Tensor, opacity: torch.Tensor) -> torch.Tensor:

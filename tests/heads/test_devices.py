@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import warnings
-import weakref
 from pathlib import Path
 
 import numpy as np
@@ -15,14 +14,11 @@ from gazenerf.checkpoints import bundled_fields, load_field
 from gazenerf.errors import UserError
 from gazenerf.field.model import TwoStreamField
 from gazenerf.geometry import Camera, Gaze
-from gazenerf.heads import baked as baked_module
-from gazenerf.heads.baked import BakedBoundHead, BakedHead, bake, draw_together
+from gazenerf.heads.baked import bake
 from gazenerf.heads.head import LEAST_CHUNK, Head
 from gazenerf.heads.interface import HeadField
 from gazenerf.image_metrics import psnr
 from gazenerf.subjects import load_subject
-from gazenerf.viz.pictures.drawing import draw_views
-from gazenerf.viz.pictures.orbit import render_orbit
 from tests.field_doubles import make_field, make_subject, soft_field, tiny_config
 from tests.pretend_device import GPU, OnGPU, move, pretended_gpu
 
@@ -81,98 +77,6 @@ def test_a_bake_stays_on_the_device() -> None:
         found = everything(baked)
         baked.at(Gaze()).render(Camera.neutral(32))
     assert_close(found, expected, 1e-4)
-
-
-def orbit_of(head: BakedHead, count: int = 7) -> list[np.ndarray]:
-    """Frames of an orbit in which the eyes turn twice."""
-    cameras = [Camera.orbit(yaw=0.1 * i, size=32) for i in range(count)]
-    gazes = [Gaze() if i < 3 else GAZE for i in range(count)]
-    return list(render_orbit(head, cameras, gazes, ("image", "eyes", "depth"), labels=False))
-
-
-def test_frames_of_an_orbit_are_drawn_together_on_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
-    field = soft_field()
-    subject = make_subject(field.config)
-    expected = orbit_of(bake(Head(field, subject, upsampler="reference"), Gaze()))
-    passes = []
-
-    def counted(bounds: list[BakedBoundHead], cameras: list[Camera]) -> object:
-        passes.append(len(cameras))
-        return draw_together(bounds, cameras)
-
-    monkeypatch.setattr(baked_module, "draw_together", counted)
-    monkeypatch.setattr(baked_module, "MOST_PIXELS", 4 * 32**2)
-    with pretended_gpu():
-        head = bake(Head(move(copy.deepcopy(field)), subject, precision="float32", upsampler="reference"), Gaze())
-        found = orbit_of(head)
-    assert passes == [4, 3]
-    for ours, theirs in zip(found, expected, strict=True):
-        assert np.abs(ours.astype(int) - theirs).max() <= 1
-
-
-def test_short_memory_means_fewer_frames_at_once_and_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    field = soft_field()
-    head = bake(Head(field, make_subject(field.config)), Gaze())
-    monkeypatch.setattr(BakedHead, "frames_at_once", lambda self, camera: self._most_pixels // camera.width**2)
-    passes = []
-
-    def short(bounds: list[BakedBoundHead], cameras: list[Camera]) -> object:
-        passes.append(len(cameras))
-        if len(cameras) > 2:
-            raise torch.OutOfMemoryError("CUDA out of memory")
-        return draw_together(bounds, cameras)
-
-    monkeypatch.setattr(baked_module, "draw_together", short)
-    head._most_pixels = 5 * 32**2
-    views = [(head.at(Gaze()), Camera.orbit(yaw=0.1 * i, size=32)) for i in range(5)]
-    with pytest.warns(UserWarning, match="5 frames at once; going on with fewer") as said:
-        found = head.render_together(views)
-        head.render_together(views)
-    assert len(said) == 1 and passes == [5, 2, 2, 1, 2, 2, 1]
-    for view, (bound, camera) in zip(found, views, strict=True):
-        np.testing.assert_allclose(view.image, bound.render(camera).image, atol=1e-5)
-
-
-def test_each_shortage_halves_the_frames_but_only_the_first_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    field = soft_field()
-    head = bake(Head(field, make_subject(field.config)), Gaze())
-    monkeypatch.setattr(BakedHead, "frames_at_once", lambda self, camera: self._most_pixels // camera.width**2)
-    passes, held, left = [], [], []
-
-    def short(bounds: list[BakedBoundHead], cameras: list[Camera]) -> object:
-        passes.append(len(cameras))
-        if len(cameras) > 1:
-            taken = torch.zeros(len(cameras))
-            held.append(weakref.ref(taken))
-            raise torch.OutOfMemoryError("CUDA out of memory")
-        return draw_together(bounds, cameras)
-
-    monkeypatch.setattr(baked_module, "draw_together", short)
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
-    monkeypatch.setattr(torch.cuda, "empty_cache", lambda: left.append(sum(one() is not None for one in held)))
-    head._most_pixels = 4 * 32**2
-    views = [(head.at(Gaze()), Camera.orbit(yaw=0.1 * i, size=32)) for i in range(4)]
-    with pytest.warns(UserWarning, match="memory is short for 4 frames at once; going on with fewer") as said:
-        assert len(head.render_together(views)) == 4
-    assert passes == [4, 2, 1, 1, 1, 1] and len(said) == 1
-    assert left == [0, 0]  # what a failed pass held is free when the memory is given back
-
-
-def test_a_drawn_view_may_ask_for_pictures_of_other_cameras() -> None:
-    field = soft_field()
-    subject = make_subject(field.config)
-    cameras = [Camera.orbit(yaw=0.4 * i, size=32) for i in range(3)]
-    views, other = [(camera, GAZE) for camera in cameras], Camera.orbit(yaw=-0.8, size=48)
-    with pretended_gpu():
-        head = bake(Head(move(copy.deepcopy(field)), subject, precision="float32", upsampler="reference"), Gaze())
-        expected = head.at(GAZE).render(other).image
-        found = list(draw_views(head, views, lambda bound, camera: bound.render(other).image))
-        same = list(draw_views(head, views, lambda bound, camera: bound.render(camera.resized(32)).image))
-        alone = [head.at(GAZE).render(camera).image for camera in cameras]
-    for image in found:
-        np.testing.assert_array_equal(image, expected)
-    for ours, theirs in zip(same, alone, strict=True):
-        np.testing.assert_allclose(ours, theirs, atol=1e-5)
 
 
 def test_the_pretence_notices_what_a_gpu_would() -> None:
@@ -279,9 +183,10 @@ def test_the_gpu_draws_the_same_head(bundled: Path) -> None:
         baked = bake(head, Gaze())
         assert psnr(baked.at(GAZE).render(camera).image, exact) > 38.0
         cameras = [Camera.orbit(yaw=0.1 * i, size=256) for i in range(5)]
-        together = baked.render_together([(baked.at(GAZE), camera) for camera in cameras])
-        for view, one in zip(together, cameras, strict=True):
-            assert psnr(view.image, baked.at(GAZE).render(one).image) > 45.0
+        for some in (head, baked):
+            views = [(some.at(GAZE), camera) for camera in cameras]
+            for view, (bound, one) in zip(some.frames.render(views), views, strict=True):
+                assert psnr(view.image, bound.render(one).image) > 45.0
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert head.chunk > 2**16  # memory did not run short
