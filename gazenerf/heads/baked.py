@@ -23,9 +23,9 @@ from gazenerf.field.compositing import composite
 from gazenerf.field.sampling import shell_samples
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.geometry.paths import GazeRange
-from gazenerf.heads.batches import Drawn, FrameBatches
+from gazenerf.heads.batches import Drawn, FrameBatches, PictureRays, draw_rays
 from gazenerf.heads.bound import BoundHead
-from gazenerf.heads.feature_map import FeatureGrid, RayFeatures, Window, add_behind, to_picture
+from gazenerf.heads.feature_map import RayFeatures, Window
 from gazenerf.heads.head import Head
 from gazenerf.heads.interface import OPACITY_FLOOR, GeometryView, Part, RenderedView
 from gazenerf.heads.lattice import Band, DensityLattice
@@ -237,20 +237,13 @@ def draw_together(bounds: Sequence[BakedBoundHead], cameras: Sequence[Camera]) -
         bounds: One for each picture, all of one bake; the same where gazes are the same.
         cameras: One for each picture, all of one size.
     """
-    head, rays = bounds[0].bound.head, _BakedRays(bounds)
-    grid = FeatureGrid.of(cameras[0], head.field.config, head.device, *cameras[1:])
-    with head.quickly():
-        background = head.field.renderer.background(*grid.shape)[0].flatten(1).T.float()
-        background = background if len(cameras) == 1 else background.repeat(len(cameras), 1)
-        found = rays.composited(grid.rays_o, grid.rays_d, background, None, grid.pictures)
-        seen = grid.smooth_outline(rays.composited, background, found, cut=True)
-        pictures = head.pictures(seen, grid.shape)
-    images = [to_picture(picture, camera) for picture, camera in zip(pictures, cameras, strict=True)]
-    return list(zip(images, grid.geometry(seen), strict=True))
+    drawn = draw_rays(bounds[0].bound.head, _BakedRays(bounds), cameras)
+    assert drawn is not None
+    return drawn
 
 
-class _BakedRays:
-    """What rays of several pictures see of a baked head, each picture at its own gaze.
+class _BakedRays(PictureRays):
+    """Rays that look into a bake, and query the network only where eyes have turned.
 
     Args:
         bounds: One for each picture, all of one bake.
@@ -260,7 +253,7 @@ class _BakedRays:
         self.bounds, self.baked = bounds, bounds[0].baked
         self.config = bounds[0].bound.field.config
 
-    def composited(
+    def first(
         self,
         rays_o: torch.Tensor,
         rays_d: torch.Tensor,
@@ -268,14 +261,21 @@ class _BakedRays:
         window: Window | None,
         pictures: torch.Tensor,
     ) -> RayFeatures:
-        """What rays see, and a second surface where the first one lets light through; see `feature_map.Composite`."""
+        """See `PictureRays`; a bake is looked through from the front, whatever the window."""
+        return self._surface(rays_o, rays_d, background, pictures)
 
-        def look(rays: torch.Tensor, where: Window) -> RayFeatures:
-            return self._first_surface(rays_o[rays], rays_d[rays], background[rays], pictures[rays], where[0])
+    def behind(
+        self,
+        rays_o: torch.Tensor,
+        rays_d: torch.Tensor,
+        background: torch.Tensor,
+        window: Window,
+        pictures: torch.Tensor,
+    ) -> RayFeatures:
+        """See `PictureRays`."""
+        return self._surface(rays_o, rays_d, background, pictures, window[0])
 
-        return add_behind(self._first_surface(rays_o, rays_d, background, pictures), background, look)
-
-    def _first_surface(
+    def _surface(
         self,
         rays_o: torch.Tensor,
         rays_d: torch.Tensor,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Generic, TypeVar
@@ -114,52 +115,11 @@ class FrameBatches(Generic[Bound]):
             )
 
 
-def draw_guided(bounds: Sequence[BoundHead], cameras: Sequence[Camera]) -> list[Drawn]:
-    """Pictures of one head and their geometry: in one pass where it is sampled around surfaces, else one by one.
+class PictureRays(ABC):
+    """What rays of several pictures see of one head, each picture at its own gaze."""
 
-    Args:
-        bounds: One for each picture, all of one head; the same where gazes are the same.
-        cameras: One for each picture, all of one size.
-    """
-    head = bounds[0].head
-    together = len(cameras) > 1 and head.drawn_together and head.sparse
-    drawn = _draw_in_one_pass(bounds, cameras) if together else None
-    if drawn is not None:
-        return drawn
-    views = [bound.render(camera) for bound, camera in zip(bounds, cameras, strict=True)]
-    return [(view.images["head"], view.geometry["head"]) for view in views]
-
-
-def _draw_in_one_pass(bounds: Sequence[BoundHead], cameras: Sequence[Camera]) -> list[Drawn] | None:
-    """See `draw_guided`; None where one of the pictures shows haze, which is sampled evenly."""
-    head, rays = bounds[0].head, _GuidedRays(bounds)
-    grid = FeatureGrid.of(cameras[0], head.field.config, head.device, *cameras[1:])
-    with head.quickly():
-        background = head.field.renderer.background(*grid.shape)[0].flatten(1).T.float().repeat(len(cameras), 1)
-        front = rays.first(grid.rays_o, grid.rays_d, background, None, grid.pictures)
-        if any(is_hazy(opacity) for opacity in front.opacity.chunk(len(cameras))):
-            return None
-        found = rays.add_behind(front, grid.rays_o, grid.rays_d, background, grid.pictures)
-        seen = grid.smooth_outline(rays.composited, background, found, cut=True)
-        pictures = head.pictures(seen, grid.shape)
-    images = [to_picture(picture, camera) for picture, camera in zip(pictures, cameras, strict=True)]
-    return list(zip(images, grid.geometry(seen), strict=True))
-
-
-class _GuidedRays:
-    """What rays of several pictures see of a head, each picture at its own gaze.
-
-    Args:
-        bounds: One for each picture; pictures that share one are queried together.
-    """
-
-    def __init__(self, bounds: Sequence[BoundHead]) -> None:
-        self._streams = tuple(bounds[0].field.streams)
-        self._gazes = list({id(bound): bound for bound in bounds}.values())
-        number = {id(bound): i for i, bound in enumerate(self._gazes)}
-        self._gaze_of_picture = torch.tensor([number[id(bound)] for bound in bounds], device=bounds[0].device)
-
-    def composited(
+    @abstractmethod
+    def first(
         self,
         rays_o: torch.Tensor,
         rays_d: torch.Tensor,
@@ -167,9 +127,22 @@ class _GuidedRays:
         window: Window | None,
         pictures: torch.Tensor,
     ) -> RayFeatures:
-        """What rays see, and a second surface where the first one lets light through; see `feature_map.Composite`."""
-        front = self.first(rays_o, rays_d, background, window, pictures)
-        return self.add_behind(front, rays_o, rays_d, background, pictures)
+        """What rays see of the first surface within a window; see `feature_map.Composite`."""
+
+    @abstractmethod
+    def behind(
+        self,
+        rays_o: torch.Tensor,
+        rays_d: torch.Tensor,
+        background: torch.Tensor,
+        window: Window,
+        pictures: torch.Tensor,
+    ) -> RayFeatures:
+        """What rays see of the first surface that lies behind another one."""
+
+    def is_hazy(self, opacity: torch.Tensor) -> bool:
+        """Does a picture whose rays hold these opacities (R,) show no surface?"""
+        return False
 
     def add_behind(
         self,
@@ -182,9 +155,73 @@ class _GuidedRays:
         """What `first` gave, in place with a second surface where the first one lets light through."""
 
         def look(rays: torch.Tensor, where: Window) -> RayFeatures:
-            return self.first(rays_o[rays], rays_d[rays], background[rays], where, pictures[rays])
+            return self.behind(rays_o[rays], rays_d[rays], background[rays], where, pictures[rays])
 
         return add_behind(front, background, look)
+
+    def composited(
+        self,
+        rays_o: torch.Tensor,
+        rays_d: torch.Tensor,
+        background: torch.Tensor,
+        window: Window | None,
+        pictures: torch.Tensor,
+    ) -> RayFeatures:
+        """What rays see of both surfaces."""
+        front = self.first(rays_o, rays_d, background, window, pictures)
+        return self.add_behind(front, rays_o, rays_d, background, pictures)
+
+
+def draw_rays(head: Head, rays: PictureRays, cameras: Sequence[Camera]) -> list[Drawn] | None:
+    """Pictures of a head and their geometry, computed in one pass; None where one of them shows haze.
+
+    Args:
+        head: Its field draws them.
+        rays: What is seen along the rays of the pictures.
+        cameras: One for each picture, all of one size.
+    """
+    grid = FeatureGrid.of(cameras[0], head.field.config, head.device, *cameras[1:])
+    with head.quickly():
+        background = head.field.renderer.background(*grid.shape)[0].flatten(1).T.float()
+        background = background if len(cameras) == 1 else background.repeat(len(cameras), 1)
+        front = rays.first(grid.rays_o, grid.rays_d, background, None, grid.pictures)
+        if any(rays.is_hazy(opacity) for opacity in front.opacity.chunk(len(cameras))):
+            return None
+        found = rays.add_behind(front, grid.rays_o, grid.rays_d, background, grid.pictures)
+        seen = grid.smooth_outline(rays.composited, background, found, cut=True)
+        pictures = head.pictures(seen, grid.shape)
+    images = [to_picture(picture, camera) for picture, camera in zip(pictures, cameras, strict=True)]
+    return list(zip(images, grid.geometry(seen), strict=True))
+
+
+def draw_guided(bounds: Sequence[BoundHead], cameras: Sequence[Camera]) -> list[Drawn]:
+    """Pictures of one head and their geometry: in one pass where it is sampled around surfaces, else one by one.
+
+    Args:
+        bounds: One for each picture, all of one head; the same where gazes are the same.
+        cameras: One for each picture, all of one size.
+    """
+    head = bounds[0].head
+    together = len(cameras) > 1 and head.drawn_together and head.sparse
+    drawn = draw_rays(head, _GuidedRays(bounds), cameras) if together else None
+    if drawn is not None:
+        return drawn
+    views = [bound.render(camera) for bound, camera in zip(bounds, cameras, strict=True)]
+    return [(view.images["head"], view.geometry["head"]) for view in views]
+
+
+class _GuidedRays(PictureRays):
+    """Rays along which the network is queried.
+
+    Args:
+        bounds: One for each picture; pictures that share one are queried together.
+    """
+
+    def __init__(self, bounds: Sequence[BoundHead]) -> None:
+        self._streams = tuple(bounds[0].field.streams)
+        self._gazes = list({id(bound): bound for bound in bounds}.values())
+        number = {id(bound): i for i, bound in enumerate(self._gazes)}
+        self._gaze_of_picture = torch.tensor([number[id(bound)] for bound in bounds], device=bounds[0].device)
 
     def first(
         self,
@@ -194,7 +231,7 @@ class _GuidedRays:
         window: Window | None,
         pictures: torch.Tensor,
     ) -> RayFeatures:
-        """What rays see of the first surface."""
+        """See `PictureRays`."""
         if len(self._gazes) == 1:
             return composite_rays(self._gazes[0], rays_o, rays_d, self._streams, background, window)
         features, (opacity, distance, end) = background.clone(), rays_o.new_full((3, len(rays_o)), torch.nan)
@@ -207,3 +244,18 @@ class _GuidedRays:
             features[here], opacity[here] = seen.features, seen.opacity
             distance[here], end[here] = seen.distance, seen.end
         return RayFeatures(features, opacity, distance, end)
+
+    def behind(
+        self,
+        rays_o: torch.Tensor,
+        rays_d: torch.Tensor,
+        background: torch.Tensor,
+        window: Window,
+        pictures: torch.Tensor,
+    ) -> RayFeatures:
+        """See `PictureRays`."""
+        return self.first(rays_o, rays_d, background, window, pictures)
+
+    def is_hazy(self, opacity: torch.Tensor) -> bool:
+        """See `PictureRays`."""
+        return is_hazy(opacity)
