@@ -37,6 +37,10 @@ class FieldConfig:
         gaze_label_signs: What the streams' label is, as signs of (pitch up, yaw left).
         density_activation: `relu` as published, or `softplus`, which a stream cannot leave for good.
         initialisation: `he` or `default` (the framework's).
+        geometry: Where densities come from: `density`, a layer of each stream as published, or `distance`, a network
+            beside each stream that gives the signed distance from its surface (see `gazenerf.field.distance`).
+        distance_width: Width of that network; distance_frequencies: octaves of its encoding.
+        surface_spread: Scale, world units, over which its density rises at the surface.
         metres_per_unit: Size of a world unit.
         sampler: How pictures are sampled: `slabs` (published) or `guided` (found surface, then a shell).
         shell: Half width of the guided shell, world units; shell_samples: its samples per ray.
@@ -69,6 +73,10 @@ class FieldConfig:
     gaze_label_signs: tuple[float, float] = (1.0, 1.0)
     density_activation: str = "relu"
     initialisation: str = "he"
+    geometry: str = "density"
+    distance_width: int = 160
+    distance_frequencies: int = 6
+    surface_spread: float = 0.01
     metres_per_unit: float = 0.1
     sampler: str = "slabs"
     shell: float = 0.25
@@ -94,6 +102,8 @@ class FieldConfig:
         need(0 < self.feature_channels <= MAX_CHANNELS, "feature_channels out of range")
         need(0 < self.hidden <= MAX_CHANNELS and self.hidden % 2 == 0, "hidden must be even and in range")
         need(0 < self.skip_after < self.layers <= 64, "skip_after must lie inside the layers")
+        need(0 < self.distance_width <= MAX_CHANNELS and 0 < self.distance_frequencies <= 32, "distance out of range")
+        need(self.geometry != "distance" or self.streams == "two", "distances need two streams")
         need(0 < self.frequencies <= 32 and 1 < self.samples <= MAX_SAMPLES, "frequencies or samples out of range")
         need(1 < self.shell_samples <= MAX_SAMPLES and self.shell > 0, "shell out of range")
         need(self.z_near > self.z_far, "z_near must be above z_far")
@@ -171,6 +181,7 @@ _RANGES: dict[str, tuple[float, float]] = {
     "z_near": (-1e3, 1e3),
     "z_far": (-1e3, 1e3),
     "shell": (1e-6, 1e3),
+    "surface_spread": (1e-5, 1.0),
     "ray_offset": (-1.0, 2.0),
     "input_gains": (1e-6, 1e6),
     "eyes_box": (-1e3, 1e3),
@@ -184,6 +195,7 @@ _CHOICES: dict[str, tuple[str, ...]] = {
     "merge": ("max", "joint"),
     "background": ("ones", "zeros"),
     "density_activation": ("relu", "softplus"),
+    "geometry": ("density", "distance"),
     "initialisation": ("he", "default"),
     "sampler": ("slabs", "guided"),
 }

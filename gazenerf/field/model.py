@@ -15,6 +15,9 @@ from gazenerf.field.eye_motion import EYE_MOTIONS, EyeCentres, EyePose
 from gazenerf.field.neural_renderer import NeuralRenderer
 from gazenerf.field.streams import Stream, StreamCondition
 
+FAR = 10.0
+"""Distance, world units, that stands for any where a stream has no surface."""
+
 
 class TwoStreamField(nn.Module):
     """GazeNeRF and its relatives: two streams or one, by configuration.
@@ -64,6 +67,12 @@ class TwoStreamField(nn.Module):
         """Codes (B, .) and label (B, 2) folded into a stream by name, with the pose of rigid eyes."""
         found = self.stream(name).condition(shape_code, appearance_code, label)
         return replace(found, pose=self.eye_pose(name, shape_code, label))
+
+    def signed_distance(self, name: str, points: torch.Tensor, condition: StreamCondition) -> torch.Tensor:
+        """`Stream.signed_distance` of a stream by name; `FAR` where that stream was never trained."""
+        found = self.stream(name).signed_distance(points, condition)
+        within = self.confine(name, torch.ones_like(found), points) > 0.0
+        return torch.where(within, found, FAR)
 
     def confine(self, name: str, density: torch.Tensor, points: torch.Tensor) -> torch.Tensor:
         """Density (...) of a stream at points (..., 3), 0 where that stream was never trained."""

@@ -14,6 +14,7 @@ import torch.nn.functional as F
 from torch import nn
 
 from gazenerf.field.config import FieldConfig
+from gazenerf.field.distance import DistanceCondition, DistanceNetwork, laplace_density
 from gazenerf.field.encoding import positional_encoding
 from gazenerf.field.eye_motion import EyePose
 
@@ -37,6 +38,7 @@ class StreamCondition:
         feature_weight: (H/2, H) the feature branch's first two linear layers in one.
         feature_bias: (B, H/2) their bias, with the appearance code.
         pose: Of eyes that turn rigidly; None where the stream is queried at the points themselves.
+        distance: Of the network that gives signed distances, where the field's geometry is `distance`.
     """
 
     first: torch.Tensor
@@ -44,6 +46,7 @@ class StreamCondition:
     feature_weight: torch.Tensor
     feature_bias: torch.Tensor
     pose: EyePose | None = None
+    distance: DistanceCondition | None = None
 
 
 class Stream(nn.Module):
@@ -63,16 +66,19 @@ class Stream(nn.Module):
             nn.Linear(inputs if i == 0 else width + inputs if i == config.skip_after else width, width)
             for i in range(config.layers)
         )
-        self.density = nn.Linear(width, 1)
+        self.density = nn.Linear(width, 1) if config.geometry == "density" else None
+        self.distance = DistanceNetwork(config, name) if config.geometry == "distance" else None
         self.feature_0 = nn.Linear(width, width)
         self.feature_1 = nn.Linear(width + appearance, width // 2)
         self.feature_2 = nn.Linear(width // 2, config.feature_channels)
-        if config.initialisation == "he" and not self.density.weight.is_meta:
-            for module in self.modules():
+        if config.initialisation == "he" and not self.feature_0.weight.is_meta:
+            layers = [*self.trunk, self.density, self.feature_0, self.feature_1, self.feature_2]
+            for module in layers:
                 if isinstance(module, nn.Linear):
                     nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
                     nn.init.zeros_(module.bias)
-            nn.init.constant_(self.density.bias, INITIAL_DENSITY if config.density_activation == "relu" else 0.0)
+            if self.density is not None:
+                nn.init.constant_(self.density.bias, INITIAL_DENSITY if config.density_activation == "relu" else 0.0)
 
     def _codes(self, shape_code: torch.Tensor, gaze_label: torch.Tensor) -> torch.Tensor:
         identity, expression, _, _, gaze = self.config.input_gains
@@ -126,7 +132,12 @@ class Stream(nn.Module):
             if i == self.config.skip_after:
                 hidden = torch.cat([inputs, hidden], dim=-1)
             hidden = F.relu(layer(hidden))
-        density = self._density(self.density(hidden)).squeeze(-1)
+        if self.distance is not None:
+            distance = self.distance(points, self.distance.condition(shape_code, gaze_label))
+            density = laplace_density(distance, self.config.surface_spread)
+        else:
+            assert self.density is not None
+            density = self._density(self.density(hidden)).squeeze(-1)
         feature = torch.cat([self.feature_0(hidden), spread(self._appearance(appearance_code))], dim=-1)
         return density, self.feature_2(F.relu(self.feature_1(feature)))
 
@@ -149,6 +160,7 @@ class Stream(nn.Module):
                     self._appearance(appearance_code), self.feature_1.weight[:, width:], self.feature_1.bias
                 )
                 + F.linear(self.feature_0.bias, mix),
+                distance=None if self.distance is None else self.distance.condition(shape_code, gaze_label),
             )
 
     def query(
@@ -165,6 +177,11 @@ class Stream(nn.Module):
             density (B, ...) float32 and hidden feature (B, ..., H/2).
         """
         batch, rest = points.shape[0], points.shape[1:-1]
+        density = None
+        if self.distance is not None:
+            density = laplace_density(self.signed_distance(points, condition), self.config.surface_spread)
+            if not features:
+                return density, density.new_empty(0)
         if condition.pose is not None:
             points = condition.pose.straight_ahead(points)
         encoded = positional_encoding(points.reshape(batch, -1, 3), self.config.frequencies)
@@ -182,11 +199,23 @@ class Stream(nn.Module):
             else:
                 hidden = layer(hidden)
             hidden = _relu(hidden)
-        density = self._density(self.density(hidden).float()).reshape(batch, *rest)
+        if density is None:
+            assert self.density is not None
+            density = self._density(self.density(hidden).float()).reshape(batch, *rest)
         if not features:
             return density, hidden.new_empty(0)
         feature = F.linear(hidden, condition.feature_weight) + _like(condition.feature_bias, encoded)
         return density, _relu(feature).reshape(batch, *rest, feature.shape[-1])
+
+    def signed_distance(self, points: torch.Tensor, condition: StreamCondition) -> torch.Tensor:
+        """Distances (B, ...) float32 from the surface at points (B, ..., 3), world units, negative inside.
+
+        Of fields whose geometry is `distance`.
+        """
+        assert self.distance is not None and condition.distance is not None
+        if condition.pose is not None:
+            points = condition.pose.straight_ahead(points)
+        return self.distance(points, condition.distance)
 
     def project(self, composited: torch.Tensor, opacity: torch.Tensor) -> torch.Tensor:
         """The last linear layer after compositing: (B, R, H/2) and opacity (B, R) to (B, R, C)."""

@@ -132,10 +132,26 @@ class BoundHead:
         return first_surface(partial(self.density_of, streams), steps, rays_o, rays_d)
 
     def normals(self, points: torch.Tensor, part: Part = "head", radius: float = NORMAL_RADIUS) -> torch.Tensor:
-        """(N, 3) unit outward normals at points (N, 3): minus the density gradient, smoothed over `radius`."""
+        """(N, 3) unit outward normals at points (N, 3): minus the density gradient, smoothed over `radius`.
+
+        Of a field that knows distances, the gradient of the distance: its density is so steep that differences of it
+        would point to the axes' diagonals.
+        """
+        falling = partial(self.density, part=part)
+        if self.field.config.geometry == "distance":
+            falling = partial(self._inwardness, self.streams_of(part))
         with self.head.quickly():
-            found = density_normals(partial(self.density, part=part), points.to(self.device), radius)
+            found = density_normals(falling, points.to(self.device), radius)
         return found.to(points.device)
+
+    def _inwardness(self, streams: tuple[str, ...], points: torch.Tensor) -> torch.Tensor:
+        """Minus the distance (N,) of points (N, 3) from the nearest surface of some streams."""
+
+        def inside(chunk: torch.Tensor) -> torch.Tensor:
+            found = [self.field.signed_distance(name, chunk[None], self.conditions[name])[0] for name in streams]
+            return -torch.stack(found).amin(0)
+
+        return torch.cat([inside(chunk) for chunk in points.split(self.head.chunk)])
 
     # Features
 

@@ -38,6 +38,10 @@ class TrainConfig:
         background_weight: L1 outside the head mask (the paper has none).
         eyes_weight: L1 inside the eye mask of the merged picture (the paper has none).
         geometry_decay: Geometry weights end at this share of their start.
+        geometry_steps: Steps in which a field of geometry `distance` learns its surfaces from points of the head
+            model's people, before the first picture; then they are held.
+        geometry_people: How many people are drawn for that.
+        geometry_learning_rate: Peak learning rate of those steps.
         perceptual_backbone: `vgg16`, `alexnet` or `none`.
         perceptual_stages: How many of the backbone's five maps are compared, shallow ones first.
         perceptual_start: Share of the run before the perceptual term starts.
@@ -76,6 +80,9 @@ class TrainConfig:
     background_weight: float = 0.5
     eyes_weight: float = 1.0
     geometry_decay: float = 0.3
+    geometry_steps: int = 5000
+    geometry_people: int = 700
+    geometry_learning_rate: float = 1.5e-3
     perceptual_backbone: str = "alexnet"
     perceptual_stages: int = 5
     perceptual_start: float = 0.3
@@ -113,6 +120,8 @@ PRESETS: dict[str, TrainConfig] = {
     "tiny": TrainConfig(
         field_preset="tiny",
         steps=60,
+        geometry_steps=40,
+        geometry_people=8,
         batch=1,
         shell=0.25,
         shell_samples=8,

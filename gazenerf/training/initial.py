@@ -20,9 +20,14 @@ _FREE = {
 }
 """Settings that mean nothing to weights: where they are sampled, what they saw, what they began as."""
 
+_GEOMETRY = {"geometry", "distance_width", "distance_frequencies", "surface_spread", "density_activation"}
+"""Settings that may differ where a field of densities is to go on with its features on a surface of distances."""
+
 
 def starting_field(config: FieldConfig, initial: TwoStreamField | None = None) -> TwoStreamField:
     """A field of this configuration with fresh weights, or with those of `initial`.
+
+    A field of geometry `distance` takes the features of one of geometry `density`, and fresh distances.
 
     Raises:
         UserError: `initial` is another network, or one whose weights mean something else.
@@ -31,7 +36,9 @@ def starting_field(config: FieldConfig, initial: TwoStreamField | None = None) -
     if initial is None:
         return field
     ours, theirs = config.to_dict(), initial.config.to_dict()
-    differing = {name: theirs[name] for name in ours if name not in _FREE and ours[name] != theirs[name]}
+    on_distances = config.geometry == "distance" and initial.config.geometry == "density"
+    free = _FREE | _GEOMETRY if on_distances else _FREE
+    differing = {name: theirs[name] for name in ours if name not in free and ours[name] != theirs[name]}
     if differing:
         there = ", ".join(f"{name} {json.dumps(value)} where it needs {json.dumps(ours[name])}"
                           for name, value in differing.items())  # fmt: skip
@@ -39,5 +46,9 @@ def starting_field(config: FieldConfig, initial: TwoStreamField | None = None) -
             f"the checkpoint of --from does not fit the preset: it has {there}; choose the --preset it was trained "
             "with, or captures of its size"
         )
-    field.load_state_dict(initial.state_dict())
+    weights = initial.state_dict()
+    if on_distances:
+        kept = {name: value for name, value in weights.items() if ".density." not in name}
+        weights = {**{name: value for name, value in field.state_dict().items() if ".distance." in name}, **kept}
+    field.load_state_dict(weights)
     return field

@@ -19,9 +19,11 @@ from gazenerf.errors import UserError
 from gazenerf.field.config import FieldConfig
 from gazenerf.field.model import TwoStreamField
 from gazenerf.files import whole_file
+from gazenerf.progress import Progress, silent
 from gazenerf.training.averaging import average_weights, update_average
 from gazenerf.training.batches import BatchMaker
 from gazenerf.training.config import TrainConfig
+from gazenerf.training.distances import hold_distances
 from gazenerf.training.feed import Feed
 from gazenerf.training.initial import starting_field
 from gazenerf.training.objective import Objective, schedule
@@ -93,6 +95,7 @@ def train(
     preview_every: int = 250,
     about: dict[str, Any] | None = None,
     on_step: Callable[[TrainingStep], None] | None = None,
+    progress: Progress = silent,
     say: Callable[[str], None] = lambda text: None,
 ) -> TwoStreamField:
     """Train a field on captures and write it to `out`.
@@ -115,6 +118,7 @@ def train(
         stop_after: Minutes after which to save and return early.
         about: Provenance stored with the weights.
         on_step: Called after every step.
+        progress: Told about what precedes the steps: learning distances, where the field's geometry is that.
         say: Told, in a line each, what a GPU could not do and what is done instead.
 
     Raises:
@@ -134,6 +138,9 @@ def train(
     if model.eye_centres is not None and eye_centres is not None:
         model.eye_centres.set(*eye_centres)
     model.to(runtime.device)
+    if field_config.geometry == "distance":
+        held = hold_distances(model, initial, config, Path(out), runtime, resume, progress)
+        about = {**(about or {}), "geometry": held}
     frozen = runtime.place(features), runtime.place(estimate_gaze)
     objective = Objective(model, config, len(captures), *frozen, runtime.operations()).to(runtime.device)
     run = _Run(Path(out), field_config, Pace(config.steps, minutes), runtime, objective, about or {}, len(captures))

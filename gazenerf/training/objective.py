@@ -137,7 +137,8 @@ class Objective(nn.Module):
                     deltas, zeros, config.code_weights
                 )
         progress = step / max(1, config.steps) if share is None else share
-        geometry = any((config.depth, config.surface, config.opacity, config.empty, config.eyeball))
+        terms = (config.depth, config.surface, config.opacity, config.empty, config.eyeball)
+        geometry = any(terms) and self.model.config.geometry == "density"  # distances are held
         render = render_batch(
             self.model,
             moved,

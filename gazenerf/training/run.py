@@ -112,6 +112,7 @@ def train_field(
         stop_after=options.stop_after,
         about={"preset": options.preset, "data": captures.manifest},
         on_step=on_step,
+        progress=progress,
         say=say,
     )
     return options.out / FIELD if runtime.rank == 0 else None

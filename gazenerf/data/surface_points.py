@@ -1,0 +1,134 @@
+"""Points about the surfaces of the head model's people, with their distances: what geometry is learned from.
+
+A synthetic head knows its distance everywhere, so its geometry needs no rendering to be learned.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from gazenerf.geometry import Gaze
+from gazenerf.head_model.expressions import sample_expressions
+from gazenerf.head_model.interface import FACE, HeadMesh
+from gazenerf.head_model.model import ParametricHead
+from gazenerf.head_model.sampling import sample_person
+from gazenerf.subjects import Codes
+
+SURFACE, NEAR, ANYWHERE = 2400, 2400, 300
+"""Points of one person on a surface, near it, and anywhere in the box around it."""
+
+DEVIATIONS = (0.02, 0.08)
+"""Standard deviations, world units, of the points near a surface from it; half of them each."""
+
+HIDDEN, HIDDEN_SHARE = 0.25, 0.05
+"""Skin that sees less than this share of its surroundings (mouth, sockets) is sampled so much more rarely."""
+
+FRONT, FRONT_SHARE = (-1.3, 0.3), 3.0
+"""Skin above this y and before this z, the face, is sampled so much more densely."""
+
+MARGIN = 0.4
+"""World units around a part's surface to which points anywhere reach."""
+
+STRAIGHT = 0.2
+"""Share of the people who look straight ahead."""
+
+SETTLED = 0.4
+"""Share of the people with the expression that the sampler of people gives, the others with many at once."""
+
+
+@dataclass(frozen=True)
+class SurfacePoints:
+    """Points of P people about the surface of one part.
+
+    Attributes:
+        shape_code: (P, I + E); gaze: (P, 2) pitch up and yaw left, radians.
+        surface, normals: (P, S, 3) points on it and unit outward normals.
+        points: (P, N, 3) about it; distance: (P, N) theirs, negative inside, world units.
+    """
+
+    shape_code: torch.Tensor
+    gaze: torch.Tensor
+    surface: torch.Tensor
+    normals: torch.Tensor
+    points: torch.Tensor
+    distance: torch.Tensor
+
+    def __len__(self) -> int:
+        return len(self.shape_code)
+
+    def to(self, device: torch.device) -> SurfacePoints:
+        """The same on a device."""
+        return SurfacePoints(*(value.to(device) for value in vars(self).values()))
+
+    @classmethod
+    def joined(cls, people: list[SurfacePoints]) -> SurfacePoints:
+        """All of some people."""
+        return cls(*(torch.cat(values) for values in zip(*(vars(one).values() for one in people), strict=True)))
+
+
+def draw_person(rng: np.random.Generator, model: ParametricHead, trained: tuple[float, float]) -> tuple[Codes, Gaze]:
+    """A person of the head model with an expression and a gaze within +-(pitch, yaw) degrees."""
+    pitch, yaw = trained
+    gaze = Gaze() if rng.random() < STRAIGHT else Gaze.from_degrees(rng.uniform(-pitch, pitch), rng.uniform(-yaw, yaw))
+    codes = sample_person(rng, model)
+    if rng.random() >= SETTLED:
+        codes = replace(codes, expression=sample_expressions(rng, model, gaze).astype(np.float32))
+    return codes, gaze
+
+
+def points_of(mesh: HeadMesh, part: str, codes: Codes, gaze: Gaze, rng: np.random.Generator) -> SurfacePoints:
+    """Points of one person about a part's surface.
+
+    Args:
+        mesh: The person at this gaze.
+        part: `face`, the skin, or `eyes`, both eyeballs.
+        codes, gaze: Of the person.
+        rng: Draws the points.
+    """
+    faces = mesh.faces[(mesh.face_part == FACE) == (part == "face")]
+    surface, normals = _on_surface(mesh, faces, part, rng)
+    spread = np.where(np.arange(NEAR) % 2 == 0, *DEVIATIONS)[:, None]
+    near = surface[rng.integers(len(surface), size=NEAR)] + spread * rng.standard_normal((NEAR, 3))
+    corners = mesh.vertices[faces].reshape(-1, 3)
+    anywhere = rng.uniform(corners.min(0) - MARGIN, corners.max(0) + MARGIN, (ANYWHERE, 3))
+    points = np.concatenate([near, anywhere]).astype(np.float32)
+    label = np.array([gaze.pitch, gaze.yaw], np.float32)
+    arrays = codes.shape_code, label, surface, normals, points, signed_distance(mesh.vertices, faces, points)
+    return SurfacePoints(*(torch.from_numpy(np.asarray(value, np.float32))[None] for value in arrays))
+
+
+def _on_surface(
+    mesh: HeadMesh, faces: np.ndarray, part: str, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """(S, 3) points on triangles and (S, 3) unit normals there."""
+    a, b, c = (mesh.vertices[faces[:, i]].astype(np.float64) for i in range(3))
+    share = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    if part == "face":
+        share = share * np.where((a[:, 1] > FRONT[0]) & (a[:, 2] > FRONT[1]), FRONT_SHARE, 1.0)
+        if mesh.occlusion is not None:
+            share = share * np.where(mesh.occlusion[faces].mean(1) < HIDDEN, HIDDEN_SHARE, 1.0)
+    chosen = rng.choice(len(faces), SURFACE, p=share / share.sum())
+    root, other = np.sqrt(rng.random(SURFACE)), rng.random(SURFACE)
+    weights = np.stack([1.0 - root, root * (1.0 - other), root * other], axis=1)[..., None]
+    corners = faces[chosen]
+    normals = (mesh.normals[corners] * weights).sum(1)
+    return (mesh.vertices[corners] * weights).sum(1), normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+def signed_distance(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """(N,) float32 distances of points (N, 3) from a closed mesh, negative inside, by Open3D."""
+    from open3d import t
+
+    scene = t.geometry.RaycastingScene(nthreads=1)
+    scene.add_triangles(_tensor(vertices, np.float32), _tensor(faces, np.uint32))
+    return scene.compute_signed_distance(_tensor(points, np.float32), nthreads=1).numpy()
+
+
+def _tensor(values: np.ndarray, kind: type) -> Any:
+    from open3d import core
+
+    return core.Tensor.from_numpy(np.ascontiguousarray(values, kind))

@@ -1,0 +1,57 @@
+"""Points about people's surfaces, with their distances."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from gazenerf.data.surface_points import NEAR, SURFACE, SurfacePoints, draw_person, points_of, signed_distance
+from gazenerf.geometry import Gaze
+from gazenerf.head_model import load_head_model
+from gazenerf.head_model.interface import FACE, HeadMesh
+
+
+@pytest.fixture(scope="module")
+def person() -> tuple[HeadMesh, dict[str, SurfacePoints]]:
+    rng, model = np.random.default_rng(4), load_head_model()
+    codes, gaze = draw_person(rng, model, (25.0, 35.0))
+    mesh = model.mesh(codes, gaze)
+    found = {part: points_of(mesh, part, codes, gaze, rng) for part in ("face", "eyes")}
+    for points in found.values():
+        assert points.shape_code[0].numpy() == pytest.approx(codes.shape_code)
+        assert points.gaze[0].tolist() == pytest.approx([gaze.pitch, gaze.yaw])
+    return mesh, found
+
+
+@pytest.mark.parametrize("part", ["face", "eyes"])
+def test_points_lie_where_their_distances_say(person: tuple[HeadMesh, dict[str, SurfacePoints]], part: str) -> None:
+    mesh, points = person[0], person[1][part]
+    surface, normals = points.surface[0].numpy(), points.normals[0].numpy()
+    assert surface.shape == normals.shape == (SURFACE, 3)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-5)
+    faces = mesh.faces[(mesh.face_part == FACE) == (part == "face")]
+    assert np.abs(signed_distance(mesh.vertices, faces, surface)).max() < 1e-4
+    for step in (-0.01, 0.01):  # a millimetre along the normals
+        off = signed_distance(mesh.vertices, faces, surface + step * normals)
+        assert np.median(off) == pytest.approx(step, rel=0.05) and np.mean(np.sign(off) == np.sign(step)) > 0.97
+    distance = points.distance[0].numpy()
+    assert 0.25 < (distance[:NEAR] < 0).mean() < 0.6
+    assert distance[NEAR:].max() > 0.2
+
+
+def test_the_mouth_and_sockets_are_sampled_rarely(person: tuple[HeadMesh, dict[str, SurfacePoints]]) -> None:
+    mesh, points = person
+    assert mesh.occlusion is not None
+    nearest = ((points["face"].surface[0, :400, None].numpy() - mesh.vertices[None, ::7]) ** 2).sum(-1).argmin(1)
+    assert np.mean(mesh.occlusion[::7][nearest] < 0.2) < 0.05
+
+
+def test_people_are_joined_and_look_within_the_range() -> None:
+    rng, model = np.random.default_rng(0), load_head_model()
+    drawn = [draw_person(rng, model, (10.0, 20.0))[1] for _ in range(40)]
+    pitch, yaw = np.abs([gaze.degrees for gaze in drawn]).max(0)
+    assert 7.0 < pitch <= 10.0 and 14.0 < yaw <= 20.0 and Gaze() in drawn
+    one = SurfacePoints(*(torch.rand(1, *shape) for shape in ((3,), (2,), (5, 3), (5, 3), (6, 3), (6,))))
+    both = SurfacePoints.joined([one, one])
+    assert len(both) == 2 and both.points.shape == (2, 6, 3) and torch.equal(both.gaze[0], both.gaze[1])
