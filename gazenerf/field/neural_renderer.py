@@ -51,6 +51,15 @@ def narrowed_repeat(narrowing: torch.Tensor) -> torch.Tensor:
         return (narrowing @ chosen).reshape(4 * narrow, channels)
 
 
+def levelled(background: torch.Tensor) -> torch.Tensor:
+    """Background features (1, C, H, W) that are everywhere what they are along the upper edge, on average.
+
+    Where heads always hide the background, training never says what it is, and it is a ghost that cameras further
+    away than the captures' see around the head. For captures before one colour.
+    """
+    return background[..., :1, :].mean(-1, keepdim=True).expand_as(background).clone()
+
+
 class Upsample(nn.Module):
     """Doubles a feature map by pixel shuffle, keeping its channels."""
 

@@ -36,6 +36,8 @@ class TrainConfig:
         learn_cameras: Learn per-picture Euler angles and translations of the camera.
         depth, surface, opacity, empty, eyeball: Geometry terms for captures that know depth and eyeballs.
         background_weight: L1 outside the head mask (the paper has none).
+        level_background: Save the background as what it is along its upper edge, for captures before one colour: where
+            heads always hide it, it is never learned.
         eyes_weight: L1 inside the eye mask of the merged picture (the paper has none).
         geometry_decay: Geometry weights end at this share of their start.
         geometry_steps: Steps in which a field of geometry `distance` learns its surfaces from points of the head
@@ -78,6 +80,7 @@ class TrainConfig:
     empty: float = 0.005
     eyeball: float = 0.01
     background_weight: float = 0.5
+    level_background: bool = True
     eyes_weight: float = 1.0
     geometry_decay: float = 0.3
     geometry_steps: int = 5000
@@ -149,6 +152,7 @@ PRESETS: dict[str, TrainConfig] = {
         empty=0.0,
         eyeball=0.0,
         background_weight=0.0,
+        level_background=False,
         eyes_weight=0.0,
         perceptual_backbone="vgg16",
         perceptual_start=0.0,

@@ -18,6 +18,7 @@ from gazenerf.devices import is_out_of_memory
 from gazenerf.errors import UserError
 from gazenerf.field.config import FieldConfig
 from gazenerf.field.model import TwoStreamField
+from gazenerf.field.neural_renderer import levelled
 from gazenerf.files import whole_file
 from gazenerf.progress import Progress, silent
 from gazenerf.training.averaging import average_weights, update_average
@@ -36,6 +37,8 @@ from gazenerf.training.runtime import Runtime
 STATE = "state.pt"
 LOG = "log.jsonl"
 FIELD = "field.safetensors"
+
+BACKGROUND = "renderer.background_features"
 
 
 @dataclass(frozen=True)
@@ -243,9 +246,12 @@ class _Run:
         return self.pace.done(self.step)
 
     def weights(self) -> dict[str, torch.Tensor]:
-        """What is saved and shown: averaged, or the last ones."""
+        """What is saved and shown: averaged, or the last ones, before a level background where that is wanted."""
         shown = self.model if self.average is None else self.average.module
-        return shown.state_dict()
+        weights = shown.state_dict()
+        if self.config.level_background:
+            weights[BACKGROUND] = levelled(weights[BACKGROUND])
+        return weights
 
     def resume(self) -> None:
         """Continue from the state file.

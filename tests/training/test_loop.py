@@ -152,3 +152,14 @@ def test_bad_input_is_one_line(toy_captures, toy_eyeballs, tmp_path, change, mes
 def test_unknown_settings_are_refused():
     with pytest.raises(ValueError, match="unknown training settings: speed"):
         TrainConfig.from_dict({"speed": 3})
+
+
+@pytest.mark.parametrize("level", [True, False])
+def test_the_background_that_is_saved_is_level_where_that_is_wanted(toy_captures, toy_eyeballs, tmp_path, level):
+    initial = TwoStreamField(FIELD)
+    with torch.no_grad():
+        initial.renderer.background_features[..., 8:, 4:12] += 3.0  # a ghost where heads are
+    run(toy_captures, tmp_path, toy_eyeballs, replace(CONFIG, steps=1, level_background=level), initial=initial)
+    found = load_field(tmp_path / "field.safetensors").renderer.background_features
+    assert bool((found.std(dim=(2, 3)) < 1e-6).all()) == level
+    assert float((found[..., 0, :].mean() - initial.renderer.background_features[..., 0, :].mean()).abs()) < 0.05
