@@ -77,7 +77,7 @@ class MakeControls:
 
     def _save(self, event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
         if event.client is not None:
-            event.client.send_file_download("keyframes.json", self.keys.text().encode())
+            event.client.send_file_download("keyframes.json", self.keys.text().encode(), save_immediately=True)
 
     def _render(self, event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
         if len(self.keys) < 2:

@@ -84,6 +84,8 @@ class Page:
         overlays = Overlays(client.scene, self.layers)
 
         def show(picture: Picture) -> None:
+            if client.client_id not in self._server.get_clients():  # left while it was drawn
+                return
             quality = STILL_QUALITY if picture.full else MOVING_QUALITY
             client.scene.set_background_image(picture.pixels, format="jpeg", jpeg_quality=quality)
             status.content = describe(picture)

@@ -22,6 +22,10 @@ CHECKED_SIZE = 192
 """Pixels of the views in which a bake is held against the guided path."""
 
 
+KEPT = 3
+"""Subjects whose bakes are kept (about 80 MB each), so that sliders that are reset show at once."""
+
+
 @dataclass(frozen=True)
 class Drawer:
     """What draws a subject now.
@@ -51,6 +55,7 @@ class Paths:
         self._first, self._changed = head, changed
         self._condition = threading.Condition()
         self._head, self._drawer = head, Drawer(head, False, "looking for the fastest way to draw")
+        self._kept: list[tuple[HeadField, Drawer]] = []
         self._waiting: HeadField | None = head
         self._closed = False
         self._thread = threading.Thread(target=self._run, name="viewer-bake", daemon=True)
@@ -64,11 +69,20 @@ class Paths:
         """
         with self._condition:
             if subject is not self._head.subject:
-                self._head = head_of(self._first, subject)
-                self._drawer = Drawer(self._head, False, "looking for the fastest way to draw")
-                self._waiting = self._head
-                self._condition.notify_all()
+                self._take(subject)
             return self._drawer
+
+    def _take(self, subject: Subject) -> None:
+        """Make a subject the present one; the lock is held."""
+        kept = next((one for one in self._kept if one[0].subject is subject), None)
+        if kept is not None:
+            self._head, self._drawer = kept
+            self._waiting = None
+        else:
+            self._head = head_of(self._first, subject)
+            self._drawer = Drawer(self._head, False, "looking for the fastest way to draw")
+            self._waiting = self._head
+        self._condition.notify_all()
 
     def close(self) -> None:
         """End the thread; a bake that runs is waited for."""
@@ -84,6 +98,7 @@ class Paths:
                 if head is not self._head:
                     continue
                 self._drawer = Drawer(path.head, True, path.note or path.describe())
+                self._kept = [*self._kept, (head, self._drawer)][-KEPT:]
             self._changed()
 
     def _next(self) -> HeadField | None:

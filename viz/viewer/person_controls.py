@@ -117,7 +117,8 @@ class PersonControls:
     def _save(self, event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
         subject = replace(self._scene.state.subject, name=self.name.value.strip() or self._chosen.name)
         if event.client is not None:
-            event.client.send_file_download(f"{safe_name(subject.name)}.safetensors", subject_file(subject))
+            name = f"{safe_name(subject.name)}.safetensors"
+            event.client.send_file_download(name, subject_file(subject), save_immediately=True)
 
     def _try(self, event: viser.GuiEvent, action: Callable[[], None]) -> None:
         try:

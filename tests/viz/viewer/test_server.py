@@ -33,7 +33,7 @@ def test_a_taken_port_is_one_line_that_names_it_before_a_field_is_loaded(taken, 
 
 @pytest.mark.parametrize(("host", "port"), [("127.0.0.1", 65536), ("127.0.0.1", -1), ("256.0.0.1", 0), ("no host", 0)])
 def test_addresses_that_cannot_be_are_refused(host, port):
-    with pytest.raises(UserError, match="--port|--host"):
+    with pytest.raises(UserError, match=r"--(port|host)"):
         check_port(host, port)
 
 

@@ -153,6 +153,7 @@ def test_another_person_is_drawn_at_once_and_baked_later(small):
     assert drawer.head.field is small.head.field
     wait_until(lambda: small.paths.drawer(ben).final, 120.0)
     assert isinstance(small.paths.drawer(ben).head, BakedHead)
+    assert small.paths.drawer(small.head.subject).final, "the bakes of the last few people are kept"
 
 
 def test_a_head_of_one_subject_refuses_others(flat):
