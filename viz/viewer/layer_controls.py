@@ -30,6 +30,11 @@ class MeshLook:
     wireframe: bool
     opacity: float
 
+    @property
+    def glass(self) -> float | None:
+        """The opacity as the browser takes it: None hides what is behind."""
+        return None if self.opacity >= 1.0 else self.opacity
+
 
 class LayerControls:
     """The list of layers, and for each mesh whether and how it is shown.
@@ -73,6 +78,11 @@ class LayerControls:
         shown, wireframe, opacity = self._looks[name]
         return MeshLook(bool(shown.value), bool(wireframe.value), float(opacity.value))
 
+    def show(self, name: str, wireframe: bool, opacity: float) -> None:
+        """Show `reference`, `face` or `eyes`, as its controls would."""
+        shown, lines, glass = self._looks[name]
+        lines.value, glass.value, shown.value = wireframe, opacity, True
+
     def close(self) -> None:
         """End what runs in the background."""
         self._extraction.close()
@@ -96,7 +106,7 @@ class LayerControls:
             self._changed()
         elif (mesh := self._meshes.get(name)) is not None:
             look = self.look(name)
-            mesh.visible, mesh.wireframe, mesh.opacity = look.shown, look.wireframe, look.opacity
+            mesh.visible, mesh.wireframe, mesh.opacity = look.shown, look.wireframe, look.glass
 
     def _extract(self) -> None:
         state = self._scene.state
@@ -122,7 +132,7 @@ def add_mesh(
         mesh.faces,
         color=colour,
         wireframe=look.wireframe,
-        opacity=look.opacity,
+        opacity=look.glass,
         visible=look.shown,
         cast_shadow=False,
         receive_shadow=False,

@@ -55,9 +55,13 @@ class Page:
         server.on_client_connect(self._arrive)
         server.on_client_disconnect(self._leave)
 
+    def clients(self) -> list[viser.ClientHandle]:
+        """The browsers that show the page."""
+        return list(self._server.get_clients().values())
+
     def notify(self, client: viser.ClientHandle | None, text: str) -> None:
         """Show one line to a visitor, or to all."""
-        for one in list(self._server.get_clients().values()) if client is None else [client]:
+        for one in self.clients() if client is None else [client]:
             one.add_notification("", text, color="red", auto_close_seconds=NOTICE_SECONDS)
 
     def close(self) -> None:

@@ -39,8 +39,8 @@ class PersonControls:
         self._chosen = scene.state.subject
         self._sizes = self._chosen.codes.sizes
         fitting = [name for name in bundled_subjects() if load_subject(name).codes.sizes == self._sizes]
-        shown = self._chosen.name if self._chosen.name in fitting else OWN
-        self.bundled = server.gui.add_dropdown("Subject", (*fitting, OWN), initial_value=shown)
+        self._listed = self._chosen.name if self._chosen.name in fitting else OWN
+        self.bundled = server.gui.add_dropdown("Subject", (*fitting, OWN), initial_value=self._listed)
         self.upload = server.gui.add_upload_button("Open a subject file", mime_type=".safetensors")
         self.seed = server.gui.add_number("Seed", 0, min=0, max=2**31 - 1, step=1)
         self.random = server.gui.add_button("Random person")
@@ -54,8 +54,12 @@ class PersonControls:
         self.reset.on_click(lambda event: self.choose(self._chosen))
         self.save.on_click(self._save)
 
-    def choose(self, subject: Subject) -> None:
+    def choose(self, subject: Subject, listed: str = OWN) -> None:
         """See another person; the sliders show their codes.
+
+        Args:
+            subject: Who.
+            listed: What the list of bundled subjects shows; what it did where the person is the one chosen before.
 
         Raises:
             UserError: the field takes other codes.
@@ -66,12 +70,13 @@ class PersonControls:
                     f"{subject.name} has codes of {subject.codes.sizes} (identity, expression, texture, illumination), "
                     f"this field takes {self._sizes}"
                 )
-            self._chosen = subject
+            if subject is not self._chosen:
+                self._chosen, self._listed = subject, listed
             self._scene.change(subject=subject)
             for slider, handle in self.sliders.items():
                 _show(slider, handle, subject)
             self.name.value = subject.name
-            self.bundled.value = subject.name if subject.name in self.bundled.options else OWN
+            self.bundled.value = self._listed
 
     def _add_sliders(self) -> dict[CodeSlider, viser.GuiSliderHandle[float]]:
         found = {}
@@ -101,8 +106,9 @@ class PersonControls:
         return move
 
     def _choose_bundled(self) -> None:
-        if self.bundled.value not in (OWN, self._chosen.name):
-            self.choose(load_subject(self.bundled.value))
+        name = self.bundled.value
+        if name not in (OWN, self._listed):
+            self.choose(load_subject(name), name)
 
     def _open(self, event: viser.GuiEvent[viser.GuiUploadButtonHandle]) -> None:
         file = self.upload.value

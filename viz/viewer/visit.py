@@ -96,6 +96,12 @@ class Visit:
             self._full = 0
             self._condition.notify_all()
 
+    @property
+    def settled(self) -> bool:
+        """Whether the visitor was shown the full picture of how things are."""
+        with self._condition:
+            return self._full == self._wanted
+
     def close(self) -> None:
         """End the thread, after the picture that is being drawn."""
         self._stop_listening()
@@ -121,13 +127,12 @@ class Visit:
             except Exception as error:  # one picture that fails must not end a visit
                 traceback.print_exc()
                 self._tell(f"this view cannot be drawn: {error}")
+            if picture is not None and not self._closed:
+                self._show(picture)
             with self._condition:
                 self._quick = version
                 if full:
                     self._full = version
-                closed = self._closed
-            if picture is not None and not closed:
-                self._show(picture)
 
     def _next(self) -> tuple[int, Viewpoint, bool] | None:
         """The version of the scene to draw, from where, and whether in full; None at the end."""

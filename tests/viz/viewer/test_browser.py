@@ -69,7 +69,7 @@ class Tab:
 
     def now(self):
         """The full picture of the present scene, once the browser was sent it."""
-        wait_until(lambda: self.visit._full == self.visit._wanted and bool(self.shown) and self.shown[-1].full, 90.0)
+        wait_until(lambda: self.visit.settled and bool(self.shown) and self.shown[-1].full, 90.0)
         return self.shown[-1]
 
     def after(self, action):
@@ -240,4 +240,4 @@ def test_a_reloaded_tab_is_a_new_visit_and_the_old_one_ends(tab, page):
     wait_until(lambda: tab.number not in page.visits and not tab.visit._thread.is_alive())
     wait_until(lambda: len(page.visits) == 1)
     (visit,) = page.visits.values()
-    wait_until(lambda: visit._full == visit._wanted, 60.0)
+    wait_until(lambda: visit.settled, 60.0)
