@@ -6,10 +6,7 @@ WANTED_SECONDS = 0.1
 """Time for one picture while something moves."""
 
 SMALLEST = 64
-"""Pixels of the shorter side; smaller pictures show nothing."""
-
-FIRST = 128
-"""Pixels of the shorter side before anything was measured."""
+"""Pixels of the shorter side, and the first size; smaller pictures show nothing."""
 
 NEWEST = 0.3
 """Weight of the last picture in the mean of all; a single slow one changes little."""
@@ -25,7 +22,7 @@ class Pace:
 
     def __init__(self, largest: int, wanted: float = WANTED_SECONDS) -> None:
         self.largest, self.wanted = largest, wanted
-        self.size = max(SMALLEST, min(largest, FIRST))
+        self.size = SMALLEST
         self._mean: float | None = None
 
     def took(self, seconds: float) -> None:

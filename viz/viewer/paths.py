@@ -1,4 +1,4 @@
-"""The head that draws a subject: the field's own at once, baked as soon as that is ready."""
+"""The head that draws a subject: evenly sampled at once, by its surface soon, baked as soon as that is ready."""
 
 from __future__ import annotations
 
@@ -31,14 +31,22 @@ class Drawer:
     """What draws a subject now.
 
     Attributes:
-        head: Draws it.
+        head: Draws full pictures.
+        quick: Draws coarse pictures; another one than `head` while that is not prepared.
         final: No better path is on its way, so a full picture is worth its time.
         note: How it is drawn, one line.
     """
 
     head: HeadField
+    quick: HeadField
     final: bool
     note: str
+
+    @classmethod
+    def unprepared(cls, head: HeadField) -> Drawer:
+        """What draws a head of which nothing is known: coarse pictures, sampled evenly, which need no preparation."""
+        quick = head.with_sampler("slabs") if isinstance(head, Head) else head
+        return cls(head, quick, False, "sampled evenly; looking for the surface")
 
 
 class Paths:
@@ -54,7 +62,7 @@ class Paths:
     def __init__(self, head: HeadField, changed: Callable[[], None]) -> None:
         self._first, self._changed = head, changed
         self._condition = threading.Condition()
-        self._head, self._drawer = head, Drawer(head, False, "looking for the fastest way to draw")
+        self._head, self._drawer = head, Drawer.unprepared(head)
         self._kept: list[tuple[HeadField, Drawer]] = []
         self._waiting: HeadField | None = head
         self._closed = False
@@ -80,7 +88,7 @@ class Paths:
             self._waiting = None
         else:
             self._head = head_of(self._first, subject)
-            self._drawer = Drawer(self._head, False, "looking for the fastest way to draw")
+            self._drawer = Drawer.unprepared(self._head)
             self._waiting = self._head
         self._condition.notify_all()
 
@@ -93,13 +101,20 @@ class Paths:
 
     def _run(self) -> None:
         while (head := self._next()) is not None:
+            if isinstance(head, Head) and head.sparse:
+                self._found(head, Drawer(head, head, False, "sampled around the surface; baking"))
             path = _path(head)
-            with self._condition:
-                if head is not self._head:
-                    continue
-                self._drawer = Drawer(path.head, True, path.note or path.describe())
-                self._kept = [*self._kept, (head, self._drawer)][-KEPT:]
-            self._changed()
+            self._found(head, Drawer(path.head, path.head, True, path.note or path.describe()))
+
+    def _found(self, head: HeadField, drawer: Drawer) -> None:
+        """Take a better way to draw a head, where that is still the present one, and tell of it."""
+        with self._condition:
+            if head is not self._head or self._closed:
+                return
+            self._drawer = drawer
+            if drawer.final:
+                self._kept = [*self._kept, (head, drawer)][-KEPT:]
+        self._changed()
 
     def _next(self) -> HeadField | None:
         """The head to bake, once no other came for a while; None at the end."""

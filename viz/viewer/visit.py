@@ -73,7 +73,7 @@ class Visit:
         self._wanted, self._quick, self._full = 1, 0, 0
         self._moved_at = self._played_at = 0.0
         self._closed = False
-        self._pace = Pace(full_size(paths.drawer(scene.state.subject).head))
+        self._pace, self._paced = Pace(full_size(paths.drawer(scene.state.subject).head)), ""
         self._stop_listening = scene.listen(self.refresh)
         self._thread = threading.Thread(target=self._run, name="viewer-visit", daemon=True)
         self._thread.start()
@@ -159,19 +159,24 @@ class Visit:
 
     def _drawn(self, state: SceneState, viewpoint: Viewpoint, full: bool) -> Picture:
         drawer = self._paths.drawer(state.subject)
-        camera = viewpoint.camera(full_size(drawer.head) if full else self._pace.size, multiple_of(drawer.head))
+        if full:
+            head, size = drawer.head, full_size(drawer.head)
+        else:
+            head, size = drawer.quick, self._pace_of(drawer).size
+        camera = viewpoint.camera(size, multiple_of(head))
         gaze = gaze_of(state, drawer.head, camera, time.monotonic())
         started = time.perf_counter()
-        pixels = draw(drawer, gaze, camera, state.layer)
+        pixels = draw_panels(head.at(gaze), camera, (state.layer,))[state.layer]
         seconds = time.perf_counter() - started
         if not full:
             self._pace.took(seconds)
         return Picture(pixels, camera, gaze, state.layer, full, seconds, drawer.note)
 
-
-def draw(drawer: Drawer, gaze: Gaze, camera: Camera, layer: str) -> np.ndarray:
-    """(H, W, 3) uint8: a layer of the head at a gaze; `image` is `drawer.head.at(gaze).render(camera)`."""
-    return draw_panels(drawer.head.at(gaze), camera, (layer,))[layer]
+    def _pace_of(self, drawer: Drawer) -> Pace:
+        """The pace of a way to draw; it starts anew with each."""
+        if drawer.note != self._paced:
+            self._pace, self._paced = Pace(full_size(drawer.head)), drawer.note
+        return self._pace
 
 
 def gaze_of(state: SceneState, head: HeadField, camera: Camera, seconds: float) -> Gaze:

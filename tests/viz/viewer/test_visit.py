@@ -131,6 +131,15 @@ def small():
     watched.close()
 
 
+@pytest.fixture(autouse=True)
+def visits_end(request):
+    yield
+    if "small" in request.fixturenames:
+        watched = request.getfixturevalue("small")
+        while watched.visits:
+            watched.visits.pop().close()
+
+
 @pytest.mark.parametrize("layer", ["image", "eyes"])
 def test_the_full_picture_is_the_heads_own(small, layer):
     gaze = Gaze.from_degrees(8.0, 12.0)
@@ -146,13 +155,16 @@ def test_the_full_picture_is_the_heads_own(small, layer):
     assert shown[-1].pixels.std() > 5.0 and shown[-1].camera.height == 256
 
 
-def test_another_person_is_drawn_at_once_and_baked_later(small):
+def test_another_person_is_drawn_evenly_at_once_and_baked_later(small):
     ben = load_subject("ben")
+    small.scene.change(subject=ben, layer="image", gaze=GazeChoice())
     drawer = small.paths.drawer(ben)
-    assert not drawer.final and drawer.head.subject is ben
+    assert not drawer.final and drawer.head.subject is ben is drawer.quick.subject
     assert drawer.head.field is small.head.field
+    assert drawer.quick.sampler == "slabs" and drawer.head.sampler == "guided"
     wait_until(lambda: small.paths.drawer(ben).final, 120.0)
     assert isinstance(small.paths.drawer(ben).head, BakedHead)
+    small.scene.change(subject=small.head.subject)
     assert small.paths.drawer(small.head.subject).final, "the bakes of the last few people are kept"
 
 
