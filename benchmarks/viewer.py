@@ -89,15 +89,17 @@ def drag(watched: Watched, seconds: float, fixed: int | None = None) -> dict[str
     if fixed is not None:
         hold_size(visit, fixed)
     watched.shown.clear()
-    started = time.perf_counter()
+    started, worked = time.perf_counter(), time.process_time()
     while (now := time.perf_counter() - started) < seconds:
         visit.look(viewpoint(0.8 * float(np.sin(now))))
         time.sleep(1.0 / REPORTED)
     released = time.perf_counter()
+    worked = time.process_time() - worked
     coarse = [picture for at, picture in watched.shown if at <= released]
     watched.wait_for_full(visit)
     return {
         "frames_per_second": len(coarse) / seconds,
+        "processor_seconds_per_frame": worked / len(coarse),
         "median_size": float(np.median([picture.camera.height for picture in coarse])),
         "full_after_release_seconds": watched.shown[-1][0] - released,
         "full_size": watched.shown[-1][1].camera.height,

@@ -29,4 +29,10 @@ class Pace:
         """Learn from a picture of the present `size`, whose time is taken to go with its number of pixels."""
         each = max(seconds, 1e-5) / self.size**2
         self._mean = each if self._mean is None else (1.0 - NEWEST) * self._mean + NEWEST * each
-        self.size = round(min(max((self.wanted / self._mean) ** 0.5, SMALLEST), self.largest))
+        self.size = self.size_for(self.wanted)
+
+    def size_for(self, seconds: float) -> int:
+        """Pixels of the shorter side of a picture that takes so long; `SMALLEST` while nothing was measured."""
+        if self._mean is None:
+            return SMALLEST
+        return round(min(max((seconds / self._mean) ** 0.5, SMALLEST), self.largest))

@@ -26,6 +26,9 @@ from gazenerf.viz.viewer.viewpoint import Viewpoint
 STILL = 0.3
 """Seconds without a change after which the full picture is drawn."""
 
+WHILE_BAKING = 0.5
+"""Seconds that a still picture may take while a faster path is on its way."""
+
 PLAYED_PERIOD = 1.0 / 25.0
 """Seconds between pictures of eyes that move on their own, at least."""
 
@@ -70,7 +73,7 @@ class Visit:
         self._scene, self._paths, self._show, self._tell = scene, paths, show, tell
         self._condition = threading.Condition()
         self._viewpoint: Viewpoint | None = None
-        self._wanted, self._quick, self._full = 1, 0, 0
+        self._wanted, self._quick, self._better, self._full = 1, 0, 0, 0
         self._moved_at = self._played_at = 0.0
         self._closed = False
         self._pace, self._paced = Pace(full_size(paths.drawer(scene.state.subject).head)), ""
@@ -91,9 +94,12 @@ class Visit:
             self._change(moving=True)
 
     def improve(self) -> None:
-        """A better path was found; the full picture is due."""
+        """A better path was found: the full picture is due, or a better coarse one where the path is not the last."""
+        final = self._paths.drawer(self._scene.state.subject).final
         with self._condition:
             self._full = 0
+            if not final:
+                self._quick = self._better = 0
             self._condition.notify_all()
 
     @property
@@ -149,12 +155,17 @@ class Visit:
                         self._played_at = now
                         return self._wanted, viewpoint, False
                     self._condition.wait(rest)
-                elif self._full == self._wanted or not self._paths.drawer(self._scene.state.subject).final:
+                elif self._full == self._wanted:
                     self._condition.wait()
                 elif (rest := self._moved_at + STILL - now) > 0.0:
                     self._condition.wait(rest)
-                else:
+                elif self._paths.drawer(self._scene.state.subject).final:
                     return self._wanted, viewpoint, True
+                elif self._better < self._wanted:
+                    self._better = self._wanted
+                    return self._wanted, viewpoint, False
+                else:
+                    self._condition.wait()
         return None
 
     def _drawn(self, state: SceneState, viewpoint: Viewpoint, full: bool) -> Picture:
@@ -162,7 +173,8 @@ class Visit:
         if full:
             head, size = drawer.head, full_size(drawer.head)
         else:
-            head, size = drawer.quick, self._pace_of(drawer).size
+            head, pace = drawer.quick, self._pace_of(drawer)
+            size = pace.size_for(WHILE_BAKING) if self._better == self._wanted else pace.size
         camera = viewpoint.camera(size, multiple_of(head))
         gaze = gaze_of(state, drawer.head, camera, time.monotonic())
         started = time.perf_counter()

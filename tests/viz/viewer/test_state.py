@@ -37,6 +37,14 @@ def test_a_small_field_never_gets_larger_pictures_than_its_own():
     assert pace.size == 96
 
 
+def test_a_picture_that_may_take_longer_is_larger():
+    pace = Pace(512, wanted=0.1)
+    assert pace.size_for(0.5) == SMALLEST
+    for _ in range(60):
+        pace.took(4e-6 * pace.size**2)
+    assert pace.size_for(0.4) == pytest.approx(2 * pace.size, rel=0.02)
+
+
 def test_each_visitor_is_looked_at_from_where_they_are():
     choice = GazeChoice("look-at-camera")
     left, right = (choice.at(Camera.orbit(angle), 0.0, LIMITS, EYES) for angle in (0.3, -0.3))
