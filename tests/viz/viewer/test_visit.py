@@ -155,6 +155,14 @@ def test_the_full_picture_is_the_heads_own(small, layer):
     assert shown[-1].pixels.std() > 5.0 and shown[-1].camera.height == 256
 
 
+@pytest.mark.parametrize("distance", [0.01, 0.5, -30.0, 2000.0], ids=["in the middle", "inside", "behind", "far away"])
+def test_cameras_inside_and_far_from_the_head_are_drawn_too(small, distance):
+    visit, shown, told = small.visit()
+    visit.look(viewpoint(64, 48, position=(0.0, 0.0, distance)))
+    wait_until(lambda: bool(shown) and shown[-1].full, 60.0)
+    assert not told and shown[-1].camera.position[2] == distance
+
+
 def test_another_person_is_drawn_evenly_at_once_and_baked_later(small):
     ben = load_subject("ben")
     small.scene.change(subject=ben, layer="image", gaze=GazeChoice())
