@@ -28,12 +28,13 @@ dry-run: .venv/.dev .venv/.libraries
 	PYTHON=$(BIN)/python scripts/train_bundled.sh out/dry-run --dry-run
 
 # the pictures of README.md, made by the commands
-pictures: setup
+pictures: setup .venv/.dev
 	$(BIN)/gazenerf orbit --out docs/images/orbit.webp --size 384 --gaze-path circle --frames 40 --fps 14 --overwrite
 	$(BIN)/gazenerf orbit --out docs/images/panels.webp --panels image face eyes depth normals --size 192 \
 		--gaze-path sweep --frames 24 --fps 12 --overwrite
 	$(BIN)/gazenerf sheet --out docs/images/gaze-grid.png --kind gaze-grid --size 384 --overwrite
 	rm docs/images/*.webp.json
+	$(BIN)/python scripts/build_viewer_pictures.py
 	$(BIN)/python scripts/build_command_reference.py
 
 # sdist and wheel; LINKS=https://host/owner/gazenerf/blob/main makes the links of README.md absolute for an index

@@ -65,6 +65,14 @@ def peak_memory(call: Callable[[], Any]) -> int | None:
         return None
 
 
+def resident() -> int | None:
+    """Bytes of memory that the process holds; None where the system does not tell."""
+    try:
+        return _status(Path("/proc/self/status"), "VmRSS")
+    except OSError:
+        return None
+
+
 def _status(path: Path, name: str) -> int:
     line = next(line for line in path.read_text().splitlines() if line.startswith(name))
     return 1024 * int(line.split()[1])

@@ -19,6 +19,7 @@ COMMANDS = {
     "demo": "orbit, gaze grid, meshes and check of the bundled subject in one folder",
     "orbit": "render a video that flies around a head while its eyes turn",
     "sheet": "put many gazes or views of a head into one labelled picture",
+    "view": "look around a head in the browser: camera, gaze, person, layers and meshes by hand",
     "mesh": "extract face and eye meshes from the density volumes",
     "export": "write pictures with their cameras for nerfstudio and COLMAP",
     "check": "measure whether a field, or a folder of frames, is one consistent 3D head",

@@ -167,7 +167,9 @@ def test_a_reader_that_goes_away_is_no_error():
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
-@pytest.mark.parametrize("command", ["orbit --out x.mp4", "sheet --out x.png", "mesh --out x", "check --out x"])
+@pytest.mark.parametrize(
+    "command", ["orbit --out x.mp4", "sheet --out x.png", "view --port 0", "mesh --out x", "check --out x"]
+)
 def test_a_gpu_that_is_not_there_is_one_line(command, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main([*command.split(), "--device", "cuda"]) == 2
@@ -176,7 +178,7 @@ def test_a_gpu_that_is_not_there_is_one_line(command, tmp_path, monkeypatch, cap
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("command", ["orbit", "sheet", "mesh", "export", "check", "demo", "evaluate", "train"])
+@pytest.mark.parametrize("command", ["orbit", "sheet", "view", "mesh", "export", "check", "demo", "evaluate", "train"])
 def test_every_command_that_computes_takes_a_device(command):
     from gazenerf.cli.parser import flag_of
     from gazenerf.options import options_of

@@ -1,0 +1,188 @@
+"""How fluent the viewer is, and whether it keeps memory: what one visitor is shown, without a browser.
+
+    python -m benchmarks.viewer --out viewer.json
+
+A visitor's camera goes round the head at 60 positions a second, as a browser reports a drag, first with pictures of a
+fixed size, then with the size that the viewer chooses; then it is let go. Then a slider is moved. Then visitors come
+and go. Encoding and sending pictures are not counted, and nothing draws meshes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+import gazenerf
+from benchmarks.measure import machine, resident, write_json
+from gazenerf.geometry import Camera
+from gazenerf.geometry.cameras import NEUTRAL_FOV
+from gazenerf.heads import Head
+from gazenerf.viz.viewer.pace import SMALLEST, WANTED_SECONDS
+from gazenerf.viz.viewer.paths import Paths
+from gazenerf.viz.viewer.people import code_sliders, moved
+from gazenerf.viz.viewer.scene import Scene, SceneState
+from gazenerf.viz.viewer.viewpoint import Viewpoint
+from gazenerf.viz.viewer.visit import Picture, Visit
+
+REPORTED = 60.0
+"""Positions a second."""
+
+PAGE = 720
+"""Pixels of the square page."""
+
+
+def viewpoint(yaw: float) -> Viewpoint:
+    """A visitor's camera in front of the head, turned by an angle (radians)."""
+    camera = Camera.orbit(yaw)
+    w, x, y, z = (float(v) for v in Rotation.from_matrix(camera.world_from_camera[:3, :3]).as_quat(scalar_first=True))
+    px, py, pz = (float(v) for v in camera.position)
+    return Viewpoint((w, x, y, z), (px, py, pz), NEUTRAL_FOV, PAGE, PAGE)
+
+
+class Watched:
+    """A head that is viewed, and what a visitor is shown with the time of each picture."""
+
+    def __init__(self, head: Head) -> None:
+        self.scene = Scene(SceneState(head.subject))
+        self.visit: Visit | None = None
+        self.paths = Paths(head, lambda: None if self.visit is None else self.visit.improve())
+        self.shown: list[tuple[float, Picture]] = []
+
+    def arrive(self) -> Visit:
+        """A visitor comes, in the place of the one before."""
+        self.leave()
+        self.shown = []
+        self.visit = Visit(
+            self.scene, self.paths, lambda picture: self.shown.append((time.perf_counter(), picture)), print
+        )
+        return self.visit
+
+    def leave(self) -> None:
+        """The visitor leaves."""
+        if self.visit is not None:
+            self.visit.close()
+            self.visit = None
+
+    def wait_for_full(self, visit: Visit) -> None:
+        """Wait until the full picture was shown."""
+        while not visit.settled:
+            time.sleep(0.002)
+
+
+def drag(watched: Watched, seconds: float, fixed: int | None = None) -> dict[str, Any]:
+    """Turn the camera for some seconds, then let go.
+
+    Args:
+        watched: Its bake must be ready.
+        seconds: How long.
+        fixed: Shorter side of the pictures while it moves; the viewer's own choice when None.
+    """
+    visit = watched.arrive()
+    visit.look(viewpoint(0.0))
+    watched.wait_for_full(visit)
+    if fixed is not None:
+        hold_size(visit, fixed)
+    watched.shown.clear()
+    started, worked = time.perf_counter(), time.process_time()
+    while (now := time.perf_counter() - started) < seconds:
+        visit.look(viewpoint(0.8 * float(np.sin(now))))
+        time.sleep(1.0 / REPORTED)
+    released = time.perf_counter()
+    worked = time.process_time() - worked
+    coarse = [picture for at, picture in watched.shown if at <= released]
+    watched.wait_for_full(visit)
+    return {
+        "frames_per_second": len(coarse) / seconds,
+        "processor_seconds_per_frame": worked / len(coarse),
+        "median_size": float(np.median([picture.camera.height for picture in coarse])),
+        "full_after_release_seconds": watched.shown[-1][0] - released,
+        "full_size": watched.shown[-1][1].camera.height,
+    }
+
+
+def hold_size(visit: Visit, size: int) -> None:
+    """Keep the coarse pictures of a visit at a size."""
+    pace = visit._pace
+    pace.size, pace.took = size, lambda seconds: None
+
+
+def move_slider(watched: Watched) -> dict[str, float]:
+    """Seconds until the first picture and until the full picture of a changed person."""
+    visit = watched.arrive()
+    visit.look(viewpoint(0.0))
+    watched.wait_for_full(visit)
+    watched.shown.clear()
+    subject = watched.scene.state.subject
+    slider = code_sliders(subject.codes.sizes)[0]
+    started = time.perf_counter()
+    watched.scene.change(subject=moved(subject, {slider: slider.value(subject.codes) + 0.5}))
+    watched.wait_for_full(visit)
+    return {
+        "first_picture_seconds": watched.shown[0][0] - started,
+        "full_picture_seconds": watched.shown[-1][0] - started,
+    }
+
+
+def come_and_go(watched: Watched, visits: int, frames: int) -> dict[str, Any]:
+    """Resident memory after the first and after the last visits, in which small pictures are drawn one by one."""
+    sizes = []
+    for number in range(visits):
+        visit = watched.arrive()
+        for frame in range(frames // visits):
+            watched.shown.clear()
+            visit.look(viewpoint(0.8 * float(np.sin(number + 0.1 * frame))))
+            while not watched.shown:
+                time.sleep(0.002)
+            hold_size(visit, SMALLEST)
+        watched.leave()
+        gc.collect()
+        sizes.append(resident() or 0)
+    tenth = max(1, visits // 10)
+    early, late = float(np.median(sizes[tenth : 2 * tenth])), float(np.median(sizes[-tenth:]))
+    return {"visits": visits, "frames": frames, "early_mib": early / 2**20, "late_mib": late / 2**20}
+
+
+def measure(head: Head, seconds: float, visits: int, frames: int) -> dict[str, Any]:
+    """Everything that the command prints."""
+    watched = Watched(head)
+    try:
+        while not watched.paths.drawer(head.subject).final:
+            time.sleep(0.05)
+        found: dict[str, Any] = {
+            "drag_256": drag(watched, seconds, 256),
+            "drag": drag(watched, seconds) | {"wanted_seconds": WANTED_SECONDS},
+            "slider": move_slider(watched),
+        }
+        watched.scene.change(subject=head.subject)
+        return found | {"memory": come_and_go(watched, visits, frames)}
+    finally:
+        watched.leave()
+        watched.paths.close()
+
+
+def main() -> None:
+    """Measure, print, write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--checkpoint", help="default: portrait")
+    parser.add_argument("--device", default="auto")
+    parser.add_argument("--seconds", type=float, default=6.0, help="of each drag")
+    parser.add_argument("--visits", type=int, default=50)
+    parser.add_argument("--frames", type=int, default=2000)
+    parser.add_argument("--out", type=Path, help="JSON file")
+    args = parser.parse_args()
+    head = gazenerf.load("noa", args.checkpoint, args.device)
+    found = {"machine": machine()} | measure(head, args.seconds, args.visits, args.frames)
+    for name, numbers in found.items():
+        print(name, {key: round(value, 3) if isinstance(value, float) else value for key, value in numbers.items()})
+    if args.out is not None:
+        write_json(args.out, found)
+
+
+if __name__ == "__main__":
+    main()

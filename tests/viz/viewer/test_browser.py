@@ -1,0 +1,243 @@
+"""The real server in a real browser without a window: what is seen, dragged, typed and uploaded."""
+
+import io
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import gazenerf
+from gazenerf.evaluation.iris import fit_iris, opening_mask
+from gazenerf.geometry import Gaze
+from gazenerf.head_model import ReferenceHead
+from gazenerf.image_metrics import psnr
+from gazenerf.subjects import load_subject
+from gazenerf.viz.viewer import make_controls
+from gazenerf.viz.viewer.commands import Source
+from gazenerf.viz.viewer.people import subject_file
+from gazenerf.viz.viewer.server import serving
+from tests.viz.viewer.doubles import wait_until
+
+pytest.importorskip("viser", reason="viser is not installed")
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
+
+WIDTH, HEIGHT = 640, 420
+PANEL = 340
+"""Pixels at the right of the page that its controls cover."""
+
+
+@pytest.fixture(scope="module")
+def page():
+    head = gazenerf.load("noa", "small")
+    with serving(head, Source("small"), port=0) as (page, address):
+        page.address = address
+        yield page
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with playwright.sync_playwright() as driver:
+        arguments = ["--no-sandbox", "--enable-unsafe-swiftshader"]
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=arguments)
+        yield browser
+        browser.close()
+
+
+class Tab:
+    """One visitor's tab and the pictures that are sent to it."""
+
+    def __init__(self, browser, page) -> None:
+        known = set(page.visits)
+        self.page = page
+        self.tab = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
+        self.tab.goto(page.address)
+        wait_until(lambda: set(page.visits) - known)
+        (self.number,) = set(page.visits) - known
+        self.visit = page.visits[self.number]
+        self.shown, show = [], self.visit._show
+
+        def seen(picture):
+            show(picture)
+            self.shown.append(picture)
+
+        self.visit._show = seen
+        self.visit.refresh()
+
+    def now(self):
+        """The full picture of the present scene, once the browser was sent it."""
+        wait_until(lambda: self.visit.settled and bool(self.shown) and self.shown[-1].full, 90.0)
+        return self.shown[-1]
+
+    def after(self, action):
+        """The full picture after an action that changes it."""
+        version = self.visit._wanted
+        action()
+        wait_until(lambda: self.visit._wanted > version)
+        return self.now()
+
+    def looks_like(self, picture) -> bool:
+        """Is the picture what the page shows beside its controls?"""
+        screen = np.asarray(Image.open(io.BytesIO(self.tab.screenshot())).convert("RGB"))
+        wanted = np.asarray(Image.fromarray(picture.pixels).resize((WIDTH, HEIGHT), Image.Resampling.BILINEAR))
+        part = np.s_[150:, : WIDTH - PANEL]  # below the notice that the browser has no GPU
+        return psnr(screen[part] / 255.0, wanted[part] / 255.0) > 28.0
+
+    def number_of(self, label: str):
+        """The number field beside a label."""
+        row = f'//label[text()="{label}"]/ancestor::div[contains(@class, "Flex-root")][1]'
+        return self.tab.locator(f"xpath={row}//input[@type='text']")
+
+    def enter(self, label: str, value: float) -> None:
+        """Type a number into the field beside a label."""
+        field = self.number_of(label)
+        field.fill(f"{value:g}")
+        field.press("Enter")
+
+    def open(self, name: str) -> None:
+        """Show one of the page's four groups of controls."""
+        self.tab.get_by_role("tab", name=name).click()
+
+    def press(self, name: str) -> None:
+        """Press a button."""
+        self.tab.get_by_role("button", name=name, exact=True).click()
+
+
+@pytest.fixture(scope="module")
+def tab(browser, page):
+    tab = Tab(browser, page)
+    yield tab
+    tab.tab.close()
+
+
+@pytest.fixture(autouse=True)
+def as_before(page):
+    yield
+    page.gaze.turn_to(Gaze())
+    page.person.choose(page.person._chosen)
+
+
+def test_the_picture_appears_where_it_belongs(tab):
+    picture = tab.now()
+    assert picture.camera.height == 256 and picture.pixels.std() > 20.0
+    np.testing.assert_allclose(picture.camera.position, [0.0, 0.0, 12.0], atol=1e-3)
+    wait_until(lambda: tab.looks_like(picture))
+
+
+def iris_gaze(picture, eye: str) -> Gaze:
+    """Where an eye of a picture looks, by its iris."""
+    reference = ReferenceHead.of(load_subject("noa"))
+    assert reference is not None
+    mesh = reference.at(picture.gaze)
+    mask = opening_mask(mesh, eye, picture.camera)
+    centre = mesh.eye_centres[0 if eye == "left" else 1]
+    fit = fit_iris(picture.pixels / 255.0, mask, picture.camera, centre, mesh.eye_radius)
+    assert fit is not None
+    return Gaze.from_vector(fit.direction)
+
+
+def test_typed_angles_turn_the_irises_by_so_much(tab):
+    straight = tab.now()
+    turned = tab.after(lambda: tab.enter("Yaw (subject's left)", 20.0))
+    assert turned.gaze.degrees == pytest.approx((0.0, 20.0))
+    for eye in ("left", "right"):
+        turn = np.rad2deg(iris_gaze(turned, eye).yaw - iris_gaze(straight, eye).yaw)
+        assert turn == pytest.approx(20.0, abs=4.0)
+    tab.enter("Yaw (subject's left)", 45.0)
+    wait_until(lambda: "beyond what this field was trained on" in tab.tab.inner_text("body"))
+
+
+def test_dragging_moves_the_camera_and_the_picture_follows(tab):
+    before = tab.now()
+    count = len(tab.shown)
+
+    def drag() -> None:
+        mouse = tab.tab.mouse
+        mouse.move(150, 300)
+        mouse.down()
+        for step in range(1, 9):
+            mouse.move(150 + 8 * step, 300)
+        mouse.up()
+
+    tab.after(drag)
+    wait_until(lambda: tab.now().camera.position[0] < -1.0)  # the head turns with the hand, the camera the other way
+    after = tab.now()
+    assert any(not picture.full for picture in tab.shown[count:])
+    assert np.linalg.norm(after.camera.position) == pytest.approx(12.0, abs=0.05)
+    wait_until(lambda: tab.looks_like(tab.now()))
+    assert not tab.looks_like(before)
+
+
+def test_a_slider_changes_the_face_and_reset_takes_it_back(tab):
+    before = tab.now()
+    tab.open("Person")
+    tab.tab.get_by_text("Skin, hair and eyes", exact=True).click()
+    count = len(tab.shown)
+    changed = tab.after(lambda: tab.enter("skin and hair 1", 1.5))
+    assert psnr(changed.pixels / 255.0, before.pixels / 255.0) < 30.0
+    assert not tab.shown[count].full, "a coarse picture of the new face comes first"
+    again = tab.after(lambda: tab.press("Reset the sliders"))
+    assert np.array_equal(again.pixels, before.pixels)
+
+
+def test_a_bad_file_gives_a_notice_and_a_good_one_another_person(tab, page, tmp_path):
+    tab.now()
+    tab.open("Person")
+    chosen = tab.tab.locator("input[type=file]")
+    (tmp_path / "noise.safetensors").write_bytes(b"\xff" * 99)
+    chosen.set_input_files(tmp_path / "noise.safetensors")
+    wait_until(lambda: "cannot read the subject noise.safetensors" in tab.tab.inner_text("body"))
+    (tmp_path / "good.safetensors").write_bytes(subject_file(replace(load_subject("noa"), name="somebody")))
+    chosen.set_input_files(tmp_path / "good.safetensors")
+    wait_until(lambda: page.scene.state.subject.name == page.person.name.value == "somebody")
+
+
+def test_a_path_through_kept_views_is_rendered_and_sent(tab, page, tmp_path, monkeypatch):
+    words = make_controls.orbit_words
+    monkeypatch.setattr(make_controls, "orbit_words", lambda *given: [*words(*given)[:-2], *QUICK, *words(*given)[-2:]])
+    tab.open("Make")
+    tab.press("Render this path")
+    wait_until(lambda: "at least two keyframes" in tab.tab.inner_text("body"))
+    for count in (1, 2):
+        page._server.get_clients()[tab.number].camera.position = (3.0 * count, 0.0, 11.0)
+        tab.press("Add this view as a keyframe")
+        wait_until(lambda count=count: len(page.make.keys) == count)
+    tab.press("Render this path")
+    wait_until(lambda: "gazenerf orbit --subject" in tab.tab.inner_text("body"))
+    wait_until(lambda: "Written" in tab.tab.inner_text("body"), 90.0)
+    with tab.tab.expect_download() as download:
+        tab.tab.locator("a[download='orbit.mp4']").click()
+    download.value.save_as(tmp_path / "orbit.mp4")
+    assert b"ftyp" in (tmp_path / "orbit.mp4").read_bytes()[:16]
+
+
+QUICK = ["--frames", "2", "--size", "64"]
+"""Makes the command quick without changing what it is for."""
+
+
+def test_two_tabs_have_their_own_cameras_and_one_head(tab, browser, page):
+    own = tab.now().camera.position
+    other = Tab(browser, page)
+    client = page._server.get_clients()[other.number]
+    other.now()
+    client.camera.position = (6.0, 0.0, 10.0)
+    client.camera.look_at = (0.0, 0.0, 0.0)
+    tab.open("Gaze")
+    tab.after(lambda: tab.enter("Pitch (up)", 10.0))
+    for one in (tab, other):
+        assert one.now().gaze.degrees[0] == pytest.approx(10.0)
+    np.testing.assert_allclose(tab.now().camera.position, own, atol=1e-3)
+    wait_until(lambda: abs(other.now().camera.position[0] - 6.0) < 1e-3)
+    other.tab.close()
+    wait_until(lambda: other.number not in page.visits and not other.visit._thread.is_alive())
+
+
+def test_a_reloaded_tab_is_a_new_visit_and_the_old_one_ends(tab, page):
+    tab.tab.reload()
+    wait_until(lambda: tab.number not in page.visits and not tab.visit._thread.is_alive())
+    wait_until(lambda: len(page.visits) == 1)
+    (visit,) = page.visits.values()
+    wait_until(lambda: visit.settled, 60.0)

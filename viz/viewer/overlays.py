@@ -1,0 +1,70 @@
+"""What lies over one visitor's picture and follows the gaze they see: the reference head and the rays of the eyes."""
+
+from __future__ import annotations
+
+import numpy as np
+import viser
+
+from gazenerf.geometry import Gaze
+from gazenerf.head_model import ReferenceHead
+from gazenerf.subjects import Subject
+from gazenerf.viz.viewer.layer_controls import COLOURS, LayerControls, MeshLook, add_mesh
+from gazenerf.viz.viewer.meshes import reference_mesh
+
+RAY_LENGTH = 3.0
+"""World units."""
+
+RAY_COLOUR = (255, 60, 60)
+
+
+class Overlays:
+    """Draws over one visitor's picture.
+
+    Args:
+        scene: Of the visitor's page.
+        controls: Say what is shown.
+    """
+
+    def __init__(self, scene: viser.SceneApi, controls: LayerControls) -> None:
+        self._scene, self._controls = scene, controls
+        self._rays: viser.LineSegmentsHandle | None = None
+        self._mesh: viser.MeshHandle | None = None
+        self._mesh_of: tuple[int, Gaze, MeshLook] | None = None
+        self._rays_of: tuple[int, Gaze] | None = None
+
+    def follow(self, subject: Subject, gaze: Gaze, full: bool) -> None:
+        """Show the rays and, with full pictures only, since it is large, the reference head at a gaze (head frame)."""
+        self._follow_rays(subject, gaze)
+        look = self._controls.look("reference")
+        if not look.shown:
+            if self._mesh is not None:
+                self._mesh.remove()
+            self._mesh = self._mesh_of = None
+        elif full and (wanted := (id(subject), gaze, look)) != self._mesh_of:
+            mesh = reference_mesh(subject, gaze)
+            if mesh is not None:
+                self._mesh = add_mesh(self._scene, "/reference", mesh, COLOURS["reference"], look)
+            self._mesh_of = wanted
+
+    def _follow_rays(self, subject: Subject, gaze: Gaze) -> None:
+        if not self._controls.rays.value:
+            if self._rays is not None:
+                self._rays.remove()
+            self._rays = self._rays_of = None
+        elif (wanted := (id(subject), gaze)) != self._rays_of and (rays := gaze_rays(subject, gaze)) is not None:
+            self._rays = self._scene.add_line_segments(
+                "/rays", rays, RAY_COLOUR, thickness=3.0, thickness_units="screen"
+            )
+            self._rays_of = wanted
+
+
+def gaze_rays(subject: Subject, gaze: Gaze) -> np.ndarray | None:
+    """(2, 2, 3) float32 begin and end of the left and the right eye's ray, world units.
+
+    None where the subject carries no head-model parameters, which say where the eyes are.
+    """
+    reference = ReferenceHead.of(subject)
+    if reference is None:
+        return None
+    centres = reference.model.eye_centres(reference.codes.identity)
+    return np.stack([centres, centres + RAY_LENGTH * gaze.vector()], axis=1).astype(np.float32)
