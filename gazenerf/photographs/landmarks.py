@@ -53,11 +53,23 @@ class FaceLandmarks:
         return self.points[list(IRISES)] if len(self.points) == DENSE else None
 
     @property
-    def interocular(self) -> float:
-        """Distance in pixels between the middles of the eye openings, from their corners."""
+    def eyes(self) -> np.ndarray:
+        """(2, 2) middles between the corners of the eyes, the subject's left first."""
         corners = ((263, 362), (33, 133)) if self.dense else ((45, 42), (36, 39))
-        left, right = (self.points[list(pair)].mean(axis=0) for pair in corners)
+        return np.stack([self.points[list(pair)].mean(axis=0) for pair in corners])
+
+    @property
+    def interocular(self) -> float:
+        """Distance in pixels between the middles of the eyes."""
+        left, right = self.eyes
         return float(np.linalg.norm(left - right))
+
+    @property
+    def eye_axes(self) -> np.ndarray:
+        """(2, 2) rows: unit image direction along the eyes to the subject's left, and the one down from it."""
+        left, right = self.eyes
+        x, y = (left - right) / max(self.interocular, 1e-9)
+        return np.array([[x, y], [-y, x]])
 
 
 def as_landmarks(array: np.ndarray, source: str = "the landmarks") -> list[FaceLandmarks]:
