@@ -1,8 +1,8 @@
 """Texture and light codes from the pixels of photographs, with the fitted shape held.
 
 Vertices that a photograph shows inside the face oval, but neither between the lips nor between the lids, are compared
-with the colour of their pixels: albedo (linear in the texture code) times the irradiance of the light code. Light and albedo
-trade against each other; what decides is how the head model's own sampler draws them together.
+with the colour of their pixels: albedo (linear in the texture code) times the irradiance of the light code. Light and
+albedo trade against each other; what decides is how the head model's own sampler draws them together.
 """
 
 from __future__ import annotations

@@ -44,6 +44,11 @@ STANDARD_SPREAD_MM = np.repeat([9.0, 4.0, 2.5, 2.0, 2.5], [17, 10, 9, 12, 20])
 IRIS_SPREAD_MM = 1.0
 
 
+COMPONENT_SHARE, NOISE_SHARE = 0.5, 0.2
+"""Share of a component's deviation that is taken for such, and of its variance that is taken for independent noise. The
+misses of renders are not all those of photographs: with whole components a fit explains away what the photograph shows
+of a jaw."""
+
 POSE_FEATURES = 7
 
 
@@ -92,9 +97,12 @@ class LandmarkTable:
         used[-2:] = True
         marks = np.concatenate([np.arange(DENSE_WITHOUT_IRISES), IRISES])
         vertices = arrays["vertices"][used[:-2]].astype(int)
-        rows = [arrays[key][..., used, :].astype(float) for key in ("offset_mm", "slopes_mm", "components_mm")]
+        offset, slopes, components = (
+            arrays[key][..., used, :].astype(float) for key in ("offset_mm", "slopes_mm", "components_mm")
+        )
         spread, noise = (arrays[key][used].astype(float) for key in ("spread_mm", "noise_mm"))
-        return cls(marks[used], vertices, spread, rows[0], rows[1], rows[2], noise)
+        noise = np.sqrt(np.square(noise) + NOISE_SHARE * np.square(components).sum(axis=0).mean(axis=-1))
+        return cls(marks[used], vertices, spread, offset, slopes, COMPONENT_SHARE * components, noise)
 
     @classmethod
     def standard(cls, model: HeadModel, dense: bool) -> LandmarkTable:

@@ -237,9 +237,7 @@ def doubts(photograph: Photograph, irises: bool) -> list[str]:
     if max(openness(photograph.landmarks)) < CLOSED:
         said.append(f"the eyes in {photograph.name} look closed; its gaze is a guess")
     elif not irises:
-        said.append(
-            f"no iris was found in the pixels of {photograph.name} (sunglasses?); its gaze is that of the landmarks"
-        )
+        said.append(f"no iris was found in the pixels of {photograph.name} (glasses?); its gaze is by landmarks")
     if photograph.landmarks.interocular < GAZE_INTEROCULAR:
         said.append(
             f"the eyes in {photograph.name} are {photograph.landmarks.interocular:.0f} pixels apart; below "

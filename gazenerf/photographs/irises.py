@@ -9,7 +9,7 @@ from gazenerf.evaluation.iris import fit_iris
 from gazenerf.geometry import Camera
 from gazenerf.head_model.eyes import IRIS_ANGLE
 from gazenerf.photographs.landmarks import FaceLandmarks
-from gazenerf.photographs.picture_terms import IrisPoints
+from gazenerf.photographs.picture_terms import MM_PER_UNIT, IrisPoints
 
 LIDS_LEFT = (263, 466, 388, 387, 386, 385, 384, 398, 362, 382, 381, 380, 374, 373, 390, 249)
 LIDS_RIGHT = (33, 246, 161, 160, 159, 158, 157, 173, 133, 155, 154, 153, 145, 144, 163, 7)
@@ -22,6 +22,9 @@ SPREAD_MM = 0.5
 
 LARGEST_INTEROCULAR = 200.0
 """Pixels: larger eyes are averaged down to this before they are searched."""
+
+AWAY_MM = 3.0
+"""An iris farther from the detected one is something else: the shadow of a lid, a corner of the eye."""
 
 CLOSED = 0.12
 """An eye whose opening is less high than this share of its width counts as closed; open ones have 0.25 to 0.4."""
@@ -69,6 +72,10 @@ def find_irises(
         fit = fit_iris(window / 255.0, mask > 0, view, centres[eye], radius)
         if fit is not None:
             found[eye] = camera.project(centres[eye] + np.cos(IRIS_ANGLE) * radius * fit.direction)[0]
+    if landmarks.irises is not None:
+        _, z = camera.project(centres)
+        away = np.linalg.norm(found - landmarks.irises, axis=1) * z / camera.fx * MM_PER_UNIT
+        found[away > AWAY_MM] = np.nan
     return IrisPoints(found, SPREAD_MM, float(np.cos(IRIS_ANGLE))) if np.isfinite(found).any() else None
 
 

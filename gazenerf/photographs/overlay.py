@@ -11,6 +11,9 @@ from gazenerf.photographs.fit import FittedPhotograph
 
 OUTLINE, EYES, DETECTED, FITTED, GAZE = (90, 220, 90), (255, 220, 60), (70, 190, 255), (255, 80, 80), (255, 255, 255)
 ARROW_UNITS = 0.45
+SMALLEST_HEIGHT = 480
+"""Pixels: smaller pictures are enlarged by a whole factor before anything is drawn."""
+
 SHIFT = 4
 """Fractional bits of OpenCV's drawing coordinates."""
 
@@ -18,22 +21,25 @@ SHIFT = 4
 def overlay(fitted: FittedPhotograph) -> np.ndarray:
     """(H, 3 W, 3) uint8: the photograph with the fit's outlines and landmarks, the photograph, the drawn head.
 
-    Green: outline of the head model's skin; yellow: its eyeballs between the lids; red: fitted landmarks, joined by a line
-    to the detected ones in blue; white: gaze.
+    Green: outline of the head model's skin; yellow: its eyeballs between the lids; red: fitted landmarks, joined by a
+    line to the detected ones in blue; white: gaze.
     """
-    seen = fitted.seen
-    marked = seen.image.copy()
-    parts = seen.raster.parts
+    seen, factor = fitted.seen, max(1, -(-SMALLEST_HEIGHT // fitted.seen.image.shape[0]))
+    camera = seen.camera.resized(seen.camera.width * factor, seen.camera.height * factor)
+    size = camera.width, camera.height
+    photograph = cv2.resize(seen.image, size, interpolation=cv2.INTER_CUBIC)
+    parts = cv2.resize(seen.raster.parts, size, interpolation=cv2.INTER_NEAREST)
+    marked, drawn = photograph.copy(), photograph.copy()
     for mask, colour in ((parts > 0, OUTLINE), (parts == EYE_LEFT + 1, EYES), (parts == EYE_RIGHT + 1, EYES)):
         outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         cv2.drawContours(marked, outlines, -1, colour, 1, cv2.LINE_AA)
-    for detected, projected in zip(fitted.detected, fitted.projected, strict=True):
+    for detected, projected in zip(factor * fitted.detected, factor * fitted.projected, strict=True):
         cv2.line(marked, _fixed(detected), _fixed(projected), DETECTED, 1, cv2.LINE_AA, SHIFT)
         cv2.circle(marked, _fixed(projected), 1 << SHIFT, FITTED, -1, cv2.LINE_AA, SHIFT)
-    _draw_gaze(marked, seen.mesh.eye_centres, seen.mesh.eye_radius, seen.camera, fitted.subject.gaze)
-    drawn = seen.image.copy()
-    drawn[parts > 0] = fitted.drawn[parts > 0]
-    return np.concatenate([marked, seen.image, drawn], axis=1)
+    _draw_gaze(marked, seen.mesh.eye_centres, seen.mesh.eye_radius, camera, fitted.subject.gaze)
+    head = cv2.resize(fitted.drawn, size, interpolation=cv2.INTER_CUBIC)
+    drawn[parts > 0] = head[parts > 0]
+    return np.concatenate([marked, photograph, drawn], axis=1)
 
 
 def _draw_gaze(image: np.ndarray, centres: np.ndarray, radius: float, camera: Camera, gaze: Gaze) -> None:

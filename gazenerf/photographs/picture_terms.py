@@ -48,7 +48,7 @@ class Observed:
     Attributes:
         landmarks: Pixels.
         size: (width, height) of the picture.
-        irises: Found otherwise than by the landmark detector, which they then replace; None where they were not.
+        irises: Found otherwise than by the landmark detector; None where they were not.
         focal: Pixels, where it is known.
     """
 

@@ -5,7 +5,7 @@ Each picture has a camera, a gaze and an expression of its own; all share one id
 - robust (pseudo-Huber) landmark residuals in millimetres, in units of each landmark's noise, less the mean miss
   that the table tells for this pose, gaze and identity, and a combination of its error components, whose amounts are
   fitted with unit variance (docs/photos.md);
-- residuals of irises that were found otherwise;
+- residuals of irises that were found in the pixels;
 - squares of identity, expression, gaze and the logarithm of the distance, in units of their prior's deviation.
 
 Focal length and distance are all but exchangeable in one picture; what decides is the prior of the distance, which
@@ -41,7 +41,7 @@ UNSEEN = ("tongueOut",)
 GAZE_DEVIATION = np.deg2rad([11.0, 16.0])
 """Pitch and yaw."""
 
-POSE_STEPS, STEPS = 60, 250
+POSE_STEPS, STEPS, MORE_STEPS = 60, 180, 90
 
 EXPRESSION_UNIT = 0.1
 """A step of an expression coefficient for the minimiser."""
@@ -97,7 +97,7 @@ def fit_shape(
     """
     problem = _Problem(model, observed, table)
     values = problem.values(start) if start is not None else problem.posed()
-    values, cost = problem.minimised(values, STEPS)
+    values, cost = problem.minimised(values, STEPS if start is None else MORE_STEPS)
     return problem.fit(values, cost)
 
 
@@ -106,7 +106,7 @@ class _Problem:
     and error components of each picture."""
 
     def __init__(self, model: HeadModel, observed: Sequence[Observed], table: LandmarkTable) -> None:
-        if any(item.landmarks.irises is None or item.irises is not None for item in observed):
+        if any(item.landmarks.irises is None for item in observed):
             table = table.without_irises()
         self.table, self.observed = table, list(observed)
         self.points: SkinPoints = model.skin_points(table.vertices)
