@@ -38,7 +38,10 @@ def overlay(fitted: FittedPhotograph) -> np.ndarray:
         cv2.circle(marked, _fixed(projected), 1 << SHIFT, FITTED, -1, cv2.LINE_AA, SHIFT)
     _draw_gaze(marked, seen.mesh.eye_centres, seen.mesh.eye_radius, camera, fitted.subject.gaze)
     head = cv2.resize(fitted.drawn, size, interpolation=cv2.INTER_CUBIC)
-    drawn[parts > 0] = head[parts > 0]
+    # the outermost pixels are mixed with the black that the head was drawn on
+    whole = cv2.erode((seen.raster.parts > 0).astype(np.uint8), np.ones((3, 3), np.uint8))
+    whole = cv2.resize(whole, size, interpolation=cv2.INTER_NEAREST) > 0
+    drawn[whole] = head[whole]
     return np.concatenate([marked, photograph, drawn], axis=1)
 
 
