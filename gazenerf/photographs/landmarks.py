@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import zipfile
 import zlib
 from collections.abc import Sequence
@@ -198,8 +197,3 @@ def _of_size(image: np.ndarray, path: Path, size: tuple[int, int]) -> np.ndarray
     if image.shape != size[::-1]:
         raise UserError(f"{path} is {image.shape[1]}x{image.shape[0]}, the photograph {size[0]}x{size[1]}")
     return image
-
-
-def write_landmarks(path: Path, faces: Sequence[FaceLandmarks]) -> None:
-    """Write faces as JSON that `read_landmarks` reads."""
-    path.write_text(json.dumps({"landmarks": [np.round(face.points, 3).tolist() for face in faces]}))
