@@ -23,6 +23,7 @@ COMMANDS = {
     "mesh": "extract face and eye meshes from the density volumes",
     "export": "write pictures with their cameras for nerfstudio and COLMAP",
     "check": "measure whether a field, or a folder of frames, is one consistent 3D head",
+    "fit": "fit the head model to photographs of a person and save it as a subject",
     "synthesize": "render captures of synthetic people to train on",
     "train": "train a two-stream field on captures",
     "evaluate": "measure a field on views, gazes and people it has not seen",

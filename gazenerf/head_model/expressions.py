@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from gazenerf.geometry import Gaze
-from gazenerf.head_model.generic import GenericHead
+from gazenerf.head_model.interface import HeadModel
 from gazenerf.head_model.lids import LID_PITCH
-from gazenerf.head_model.model import ParametricHead
 
 PAIRED = (
     "browDown", "browOuterUp", "cheekSquint", "eyeBlink", "eyeSquint", "eyeWide", "mouthDimple", "mouthFrown",
@@ -56,7 +55,7 @@ LIDS_MEET, SQUINT_CLOSES, LOOK_CLOSES = 0.75, 0.2, (0.25, 0.12)
 """The eyeBlink that closes the bundled head's lids, and what a whole squint or look, down or up, takes off it."""
 
 
-def sample_expressions(rng: np.random.Generator, model: ParametricHead | GenericHead, gaze: Gaze) -> np.ndarray:
+def sample_expressions(rng: np.random.Generator, model: HeadModel, gaze: Gaze) -> np.ndarray:
     """(E,) expression coefficients from 0 to 1: mild combinations of most actions, some strong ones, or both.
 
     The eyeLook* coefficients stay zero, because a mesh's lids follow its gaze. The jaw opens at least as far as the

@@ -12,11 +12,14 @@ from functools import lru_cache
 
 import numpy as np
 
+from gazenerf.head_model.points import LinearAlbedo
+
 RADIUS_MM = 12.0
 IRIS_MM = 5.9
 PUPIL_MM = 2.0
 CORNEA_BULGE = 0.04
 IRIS_CODES = 4
+ALBEDO_RANGE = (0.01, 0.95)
 
 IRIS_ANGLE = float(np.arcsin(IRIS_MM / RADIUS_MM))
 PUPIL_ANGLE = float(np.arcsin(PUPIL_MM / RADIUS_MM))
@@ -42,7 +45,7 @@ class EyeMesh:
 
     def albedo(self, codes: np.ndarray) -> np.ndarray:
         """(V, 3) linear RGB for iris codes (IRIS_CODES,): brown to blue, green, brightness, warmth."""
-        return np.clip(self.mean + np.tensordot(codes, self.basis, 1), 0.01, 0.95).astype(np.float32)
+        return np.clip(self.mean + np.tensordot(codes, self.basis, 1), *ALBEDO_RANGE).astype(np.float32)
 
 
 def _smoothstep(low: float, high: float, values: np.ndarray) -> np.ndarray:
@@ -84,6 +87,27 @@ def build_eye_mesh(around: int = 64) -> EyeMesh:
     return EyeMesh(
         vertices.astype(np.float32), np.array(faces, np.int32), mean.astype(np.float32), basis.astype(np.float32), 0
     )
+
+
+def with_eye_albedo(
+    mean: np.ndarray, basis: np.ndarray, limits: tuple[float, float], vertices: np.ndarray
+) -> LinearAlbedo:
+    """Albedo of vertices (K,) of a mesh that `assemble` made.
+
+    Args:
+        mean, basis: (V, 3) and (T, V, 3) of the skin.
+        limits: To which the skin's albedo is clipped.
+        vertices: Of skin and eyeballs.
+    """
+    skin, eye = vertices < len(mean), build_eye_mesh()
+    on_eye = (vertices[~skin] - len(mean)) % len(eye.vertices)
+    found = np.zeros((len(basis) + IRIS_CODES, len(vertices), 3), np.float32)
+    found[: len(basis), skin] = basis[:, vertices[skin]]
+    found[len(basis) :, ~skin] = eye.basis[:, on_eye]
+    means = np.zeros((len(vertices), 3), np.float32)
+    means[skin], means[~skin] = mean[vertices[skin]], eye.mean[on_eye]
+    lowest, highest = (np.where(skin, ours, theirs)[:, None] for ours, theirs in zip(limits, ALBEDO_RANGE, strict=True))
+    return LinearAlbedo(means, found, lowest, highest)
 
 
 def _eye_albedo(theta: np.ndarray, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -9,9 +9,10 @@ import numpy as np
 from gazenerf.errors import UserError
 from gazenerf.geometry import Gaze
 from gazenerf.head_model.assembly import assemble
-from gazenerf.head_model.eyes import IRIS_CODES, RADIUS_MM
+from gazenerf.head_model.eyes import IRIS_CODES, RADIUS_MM, with_eye_albedo
 from gazenerf.head_model.interface import HeadMesh
 from gazenerf.head_model.lids import lid_coefficients, push_out
+from gazenerf.head_model.points import LinearAlbedo, SkinPoints
 from gazenerf.subjects import Codes
 
 FORMAT = "gazenerf-head-model-1"
@@ -94,6 +95,22 @@ class GenericHead:
             skin, self.faces, albedo, self._marks, centres, self.eye_radius, codes.texture[looks:], gaze,
             METRES_PER_UNIT,
         )  # fmt: skip
+
+    @property
+    def landmark_vertices(self) -> np.ndarray:
+        """(68,) vertices of the skin that are the standard landmarks."""
+        return self._marks
+
+    def skin_points(self, vertices: np.ndarray) -> SkinPoints:
+        """Vertices (K,) of the skin as a differentiable function of codes and gaze."""
+        return SkinPoints(
+            self.template[vertices], self.identity[:, vertices], self.expression[:, vertices], np.eye(len(vertices)),
+            self.expression_names, self._eyes, self._eyes_identity, self.eye_radius, LID_CLEARANCE * self.eye_radius,
+        )  # fmt: skip
+
+    def albedo_at(self, vertices: np.ndarray) -> LinearAlbedo:
+        """Albedo of vertices (K,) of `mesh` as a function of the texture code."""
+        return with_eye_albedo(self.albedo_mean, self.albedo_basis, (0.0, 1.0), vertices)
 
     def _wrong(self, what: str) -> UserError:
         return UserError(f"the head model {self._source}: {what}; see docs/head-model.md for the format")

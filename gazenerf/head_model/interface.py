@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from gazenerf.geometry import Gaze
+from gazenerf.head_model.points import LinearAlbedo, SkinPoints
 from gazenerf.subjects import Codes
 
 FACE, EYE_LEFT, EYE_RIGHT = 0, 1, 2
@@ -60,10 +61,28 @@ class HeadModel(Protocol):
         """Names the model in files."""
         ...
 
+    @property
+    def expression_names(self) -> tuple[str, ...]:
+        """Of the expression coefficients; those that are ARKit's mean what ARKit's mean."""
+        ...
+
+    @property
+    def landmark_vertices(self) -> np.ndarray:
+        """(68,) vertices of the skin that are the standard landmarks."""
+        ...
+
     def eye_centres(self, identity: np.ndarray) -> np.ndarray:
         """(2, 3) centres of rotation of an identity code, left then right, world units; linear in the code."""
         ...
 
     def mesh(self, codes: Codes, gaze: Gaze) -> HeadMesh:
         """The posed head; lids follow the gaze."""
+        ...
+
+    def skin_points(self, vertices: np.ndarray) -> SkinPoints:
+        """Vertices (K,) of the skin as a differentiable function of codes and gaze, as `mesh` has them."""
+        ...
+
+    def albedo_at(self, vertices: np.ndarray) -> LinearAlbedo:
+        """Albedo of vertices (K,) of `mesh`, eyeballs included, as a function of the texture code."""
         ...

@@ -12,16 +12,19 @@ from gazenerf.errors import UserError
 from gazenerf.geometry import Gaze
 from gazenerf.head_model.assembly import assemble
 from gazenerf.head_model.assets import BUNDLED, read_arrays
-from gazenerf.head_model.eyes import IRIS_CODES, RADIUS_MM
+from gazenerf.head_model.eyes import IRIS_CODES, RADIUS_MM, with_eye_albedo
 from gazenerf.head_model.generic import FORMAT, METRES_PER_UNIT, GenericHead
 from gazenerf.head_model.interface import HeadMesh
 from gazenerf.head_model.lids import fit_lids, lid_coefficients, push_out
+from gazenerf.head_model.points import LinearAlbedo, OtherEyeballs, SkinPoints, double
 from gazenerf.head_model.subdivision import subdivide, triangles
 from gazenerf.subjects import Codes
 
 BUNDLED_NAME = "makehuman-cc0-1"
 EYE_RADIUS = RADIUS_MM / 1000.0 / METRES_PER_UNIT
 LID_CLEARANCE = 0.055 * EYE_RADIUS
+LOWEST, HIGHEST = 0.008, 0.92
+"""Albedo of the skin is clipped to these."""
 
 
 class ParametricHead:
@@ -64,8 +67,32 @@ class ParametricHead:
 
     def eye_centres(self, identity: np.ndarray) -> np.ndarray:
         """(2, 3) centres of rotation, left then right, world units."""
-        source = self.source_eyes + np.tensordot(identity, self.source_eyes_identity, 1)
-        return source + np.array([0.0, 0.0, self.source_radius - EYE_RADIUS], dtype=np.float32)
+        return self._eyes_ahead + self.source_eyes + np.tensordot(identity, self.source_eyes_identity, 1)
+
+    @property
+    def _eyes_ahead(self) -> np.ndarray:
+        """(3,) by which the eyeballs lie ahead of the larger ones that the skin was made for: corneas meet."""
+        return np.array([0.0, 0.0, self.source_radius - EYE_RADIUS], dtype=np.float32)
+
+    @property
+    def landmark_vertices(self) -> np.ndarray:
+        """(68,) vertices of the skin that are the standard landmarks."""
+        return self.landmarks
+
+    def skin_points(self, vertices: np.ndarray) -> SkinPoints:
+        """Vertices (K,) of the skin as a differentiable function of codes and gaze."""
+        mix = self._matrix.tocsr()[vertices]
+        used = np.unique(mix.indices)
+        return SkinPoints(
+            self.template[used], self.identity[:, used], self.expression[:, used], mix[:, used].toarray(),
+            self.expression_names, self.source_eyes + self._eyes_ahead, self.source_eyes_identity, EYE_RADIUS,
+            LID_CLEARANCE,
+            OtherEyeballs(double(self.source_eyes), double(self.source_eyes_identity), self.source_radius),
+        )  # fmt: skip
+
+    def albedo_at(self, vertices: np.ndarray) -> LinearAlbedo:
+        """Albedo of vertices (K,) of `mesh` as a function of the texture code."""
+        return with_eye_albedo(self.albedo_mean, self.albedo_basis, (LOWEST, HIGHEST), vertices)
 
     def mesh(self, codes: Codes, gaze: Gaze) -> HeadMesh:
         """The posed head with both eyes at `gaze`.
@@ -89,7 +116,7 @@ class ParametricHead:
         for centre in centres:
             skin = push_out(skin, centre, EYE_RADIUS + LID_CLEARANCE)
         looks = len(self.albedo_basis)
-        albedo = np.clip(self.albedo_mean + np.tensordot(codes.texture[:looks], self.albedo_basis, 1), 0.008, 0.92)
+        albedo = np.clip(self.albedo_mean + np.tensordot(codes.texture[:looks], self.albedo_basis, 1), LOWEST, HIGHEST)
         return assemble(
             skin, self._faces, albedo, self.landmarks, centres, EYE_RADIUS, codes.texture[looks:], gaze,
             METRES_PER_UNIT, self.occlusion,

@@ -6,7 +6,7 @@ import numpy as np
 
 from gazenerf.head_model.eyes import IRIS_CODES
 from gazenerf.head_model.generic import GenericHead
-from gazenerf.head_model.model import ParametricHead
+from gazenerf.head_model.interface import HeadModel
 from gazenerf.head_model.shading import sample_illumination
 from gazenerf.subjects import Codes
 
@@ -14,7 +14,7 @@ _ALONE = ("jawOpen", "mouthSmileLeft", "mouthPucker", "browInnerUp", "mouthFunne
           "browDownLeft", "mouthShrugUpper", "noseSneerLeft", "cheekPuff")  # fmt: skip
 
 
-def sample_person(rng: np.random.Generator, model: ParametricHead | GenericHead) -> Codes:
+def sample_person(rng: np.random.Generator, model: HeadModel) -> Codes:
     """Codes of a random person with a neutral expression and a random portrait light.
 
     The bundled model's texture codes follow what is plausible together (skin, hair and iris tone);
@@ -44,7 +44,7 @@ def sample_person(rng: np.random.Generator, model: ParametricHead | GenericHead)
     )
 
 
-def sample_expression(rng: np.random.Generator, model: ParametricHead | GenericHead) -> np.ndarray:
+def sample_expression(rng: np.random.Generator, model: HeadModel) -> np.ndarray:
     """(E,) expression coefficients: mostly near neutral, some strong, lids partly closed at times.
 
     Only ARKit's names are driven; a model without them stays neutral.

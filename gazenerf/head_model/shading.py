@@ -8,7 +8,7 @@ from gazenerf.head_model.interface import FACE, HeadMesh
 
 ILLUMINATION_SIZE = 27
 
-_LOBE = np.array([1.0, *[2.0 / 3.0] * 3, *[0.25] * 5])
+LOBE = np.array([1.0, *[2.0 / 3.0] * 3, *[0.25] * 5])
 """Cosine-lobe factors a_l / pi of bands 0, 1, 2."""
 
 
@@ -38,7 +38,7 @@ def spherical_harmonics(directions: np.ndarray) -> np.ndarray:
 def irradiance(normals: np.ndarray, illumination: np.ndarray) -> np.ndarray:
     """Irradiance over pi (V, 3) at unit world normals (V, 3) under an illumination code (27,)."""
     coefficients = np.asarray(illumination, dtype=np.float64).reshape(9, 3)
-    return np.maximum(spherical_harmonics(normals) @ (_LOBE[:, None] * coefficients), 0.0)
+    return np.maximum(spherical_harmonics(normals) @ (LOBE[:, None] * coefficients), 0.0)
 
 
 def light_code(direction: np.ndarray, colour: np.ndarray) -> np.ndarray:

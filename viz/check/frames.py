@@ -16,9 +16,10 @@ import numpy as np
 from gazenerf.errors import UserError
 from gazenerf.files import read_json
 from gazenerf.geometry import Camera
+from gazenerf.photographs.picture import picture_size, read_picture
 from gazenerf.viz.check.colmap_model import colmap_frames, model_folder
 from gazenerf.viz.check.frame_cameras import number, read_camera
-from gazenerf.viz.check.frame_pictures import picture_size, read_depth, read_picture
+from gazenerf.viz.check.frame_depths import read_depth
 
 TRANSFORMS = "transforms.json"
 OTHER_TRANSFORMS = "transforms_train.json"

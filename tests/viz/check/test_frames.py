@@ -11,7 +11,7 @@ from PIL import Image
 
 from gazenerf.errors import UserError
 from gazenerf.geometry import Camera
-from gazenerf.viz.check import frame_pictures
+from gazenerf.photographs import picture
 from gazenerf.viz.check import frames as reading
 from gazenerf.viz.check.frames import read_frames
 from tests.viz.check.frame_folders import CAMERAS, agrees, first, save, scene, textured, write_folder
@@ -179,7 +179,7 @@ def test_sizes_and_unreadable_files_are_told(tmp_path, monkeypatch):
     (tmp_path / "images" / "1.png").write_bytes(data[: len(data) // 2])
     with pytest.raises(UserError, match="cannot be read"):
         read_frames(tmp_path)
-    monkeypatch.setattr(frame_pictures, "MAX_PIXELS", 100)
+    monkeypatch.setattr(picture, "MAX_PIXELS", 100)
     with pytest.raises(UserError, match="megapixels"):
         read_frames(tmp_path)
     for text in ("{", "[" * 100_000, "\udcff"):

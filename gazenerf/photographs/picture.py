@@ -1,13 +1,14 @@
-"""Pictures and depth maps that others wrote, read as they mean: sizes are checked before anything is unpacked."""
+"""Pictures that others made, read as they mean: sizes are checked before anything is unpacked."""
 
 from __future__ import annotations
 
+import io
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from PIL import ExifTags, Image, ImageOps, UnidentifiedImageError
+from PIL import ExifTags, Image, ImageCms, ImageOps, UnidentifiedImageError
 
 from gazenerf.errors import UserError
 
@@ -20,6 +21,8 @@ DEEP = ("I", "I;16", "I;16B", "I;16L")
 
 SIDEWAYS = (5, 6, 7, 8)
 """EXIF orientations that exchange width and height."""
+
+MAX_PROFILE_BYTES = 4 * 2**20
 
 
 def picture_size(file: Path) -> tuple[int, int]:
@@ -59,8 +62,8 @@ class Picture:
     kept: bool
 
 
-def read_picture(file: Path, told: tuple[object, object]) -> Picture:
-    """A picture in any mode: grey of 16 bits is scaled, transparency laid on white.
+def read_picture(file: Path, told: tuple[object, object] = (None, None)) -> Picture:
+    """A picture in any mode: grey of 16 bits is scaled, transparency laid on white, colour profiles applied.
 
     It is turned as its EXIF orientation says, unless its camera speaks of the width and height that are stored.
 
@@ -72,7 +75,7 @@ def read_picture(file: Path, told: tuple[object, object]) -> Picture:
         UserError: it cannot be read.
     """
     try:
-        with Image.open(file, formats=FORMATS) as opened:
+        with _opened(file) as opened:
             orientation = opened.getexif().get(ExifTags.Base.Orientation, 1)
             known = orientation in range(2, 9)
             kept = known and orientation in SIDEWAYS and opened.width != opened.height and told == opened.size
@@ -83,6 +86,46 @@ def read_picture(file: Path, told: tuple[object, object]) -> Picture:
         raise UserError(f"{file} cannot be read: {str(error)[:120]}") from error
 
 
+def read_photograph(file: Path) -> np.ndarray:
+    """(H, W, 3) uint8 sRGB: a photograph, upright as its EXIF orientation says.
+
+    Raises:
+        UserError: missing, no picture that is read here, cut short, or not of 16 pixels to 64 megapixels.
+    """
+    if not file.is_file():
+        raise UserError(f"{file} does not exist; give a photograph ({', '.join(FORMATS)})")
+    picture_size(file)
+    return read_picture(file).pixels
+
+
+def read_grey(file: Path, *, indices: bool = False) -> np.ndarray:
+    """(H, W) uint8: a mask or label image; its EXIF orientation is not looked at.
+
+    Args:
+        file: PNG, JPEG or WebP.
+        indices: A palette picture gives its indices, as face parsers write labels.
+
+    Raises:
+        UserError: as `read_photograph`.
+    """
+    if not file.is_file():
+        raise UserError(f"{file} does not exist; give a {', '.join(FORMATS)} picture")
+    picture_size(file)
+    try:
+        with _opened(file) as image:
+            if image.mode == "1" or (indices and image.mode in ("P", "L")):
+                return np.array(image.convert("L") if image.mode == "1" else image, dtype=np.uint8)
+            return np.array(Image.fromarray(_srgb(image)).convert("L"))
+    except (OSError, ValueError, SyntaxError) as error:
+        raise UserError(f"{file} cannot be read: {str(error)[:120]}") from error
+
+
+def _opened(file: Path) -> Image.Image:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+        return Image.open(file, formats=FORMATS)
+
+
 def _srgb(image: Image.Image) -> np.ndarray:
     if image.mode in DEEP:
         grey = np.clip(np.asarray(image, dtype=np.float64) / 257.0, 0.0, 255.0)
@@ -90,25 +133,16 @@ def _srgb(image: Image.Image) -> np.ndarray:
     if "A" in image.getbands() or "transparency" in image.info:
         image = image.convert("RGBA")
         image = Image.alpha_composite(Image.new("RGBA", image.size, "white"), image)
-    return np.array(image.convert("RGB"))
+    return np.array(_by_profile(image).convert("RGB"))
 
 
-def read_depth(file: Path, shape: tuple[int, int]) -> np.ndarray | None:
-    """(H, W) float32 as it is stored, of a 16-bit picture or an .npy array; None where the file is of no use.
-
-    Pictures of 8 bits, in colour or with a palette show depth to people; they hold no distances.
-    """
+def _by_profile(image: Image.Image) -> Image.Image:
+    """The picture in sRGB by its embedded colour profile; as it is where there is none, or none that fits."""
+    profile = image.info.get("icc_profile")
+    if image.mode not in ("RGB", "CMYK") or not profile or len(profile) > MAX_PROFILE_BYTES:
+        return image
     try:
-        if not file.is_file() or file.stat().st_size > MAX_FILE_BYTES:
-            return None
-        if file.suffix.lower() == ".npy":
-            stored = np.load(file, mmap_mode="r", allow_pickle=False)
-            if stored.dtype.kind not in "fui" or stored.shape not in (shape, (*shape, 1)):
-                return None
-            return np.array(stored, dtype=np.float32).reshape(shape)
-        if picture_size(file) != shape[::-1]:
-            return None
-        with Image.open(file, formats=("PNG",)) as image:
-            return np.array(image, dtype=np.float32) if image.mode in DEEP else None
-    except (OSError, ValueError, SyntaxError, UserError):
-        return None
+        source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
+        return ImageCms.profileToProfile(image, source, ImageCms.createProfile("sRGB"), outputMode="RGB") or image
+    except (ImageCms.PyCMSError, OSError, ValueError, TypeError):
+        return image

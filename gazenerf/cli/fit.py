@@ -1,0 +1,58 @@
+"""`gazenerf fit`: the head model fitted to photographs of a person, as a subject."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from gazenerf.options import option
+from gazenerf.photographs.make_fit import FitOptions
+
+HELP = "fit the head model to photographs of a person and save it as a subject"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(FitOptions):
+    """What the command takes.
+
+    Attributes:
+        photographs: Of one person.
+        out: The subject file of the first photograph.
+        overwrite: Replace files.
+    """
+
+    photographs: tuple[Path, ...] = option(
+        help="photographs of one person (PNG, JPEG, WebP)", flag="photographs", metavar="PHOTO"
+    )
+    out: Path = option(help="subject file; an overlay and a JSON file go beside it", metavar="FILE.safetensors")
+    overwrite: bool = option(False, "replace existing files")
+
+
+def run(options: Options) -> int:
+    """Fit, write, and print what is left."""
+    from gazenerf.cli.common import summary_table, warn
+    from gazenerf.cli.libraries import naming_missing_libraries
+    from gazenerf.photographs.make_fit import make_fit
+
+    with naming_missing_libraries():
+        made = make_fit(options.photographs, options.out, options, options.overwrite)
+    for item in made:
+        for line in item.fitted.warnings:
+            warn(line)
+        left, fitted = item.fitted.residuals, item.fitted.subject
+        marks, expected = left["landmarks"], left["landmarks_less_expected_misses"]
+        pitch, yaw = fitted.gaze.degrees
+        psnr = left["face_psnr_db"]
+        rows = {
+            "subject": item.subject,
+            "overlay": item.overlay,
+            "residuals": item.json,
+            "landmarks, median": "{median_px:.1f} px, {median_mm:.1f} mm, {median_percent:.1f} % of the eyes' "
+            "distance".format(**marks),
+            "less expected misses": "{median_px:.1f} px, {median_mm:.1f} mm, {median_percent:.1f} %".format(**expected),
+            "gaze": f"pitch {pitch:.1f}, yaw {yaw:.1f} degrees, irises by {left['irises']}",
+            "face drawn": "not visible" if psnr is None else f"{psnr:.1f} dB in the face oval",
+            "note": "the field is not fine-tuned to this person: it draws a similar stranger",
+        }
+        summary_table(f"fit of {fitted.provenance['photograph']}", rows)
+    return 0

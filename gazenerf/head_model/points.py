@@ -1,0 +1,141 @@
+"""Some points of a head model as differentiable functions of its codes, for fitting."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from gazenerf.head_model.lids import LID_LIMIT, LID_OPENING, LID_PITCH, LID_YAW
+
+LOOKS = {"Up": (0, 1.0), "Down": (0, -1.0), "OutLeft": (1, 1.0), "InRight": (1, 1.0), "InLeft": (1, -1.0),
+         "OutRight": (1, -1.0)}  # fmt: skip
+"""Ends of the names of the eyeLook* coefficients: which angle of the gaze drives them, and its sign."""
+
+
+@dataclass(frozen=True)
+class OtherEyeballs:
+    """The eyeballs that a skin was made for, where they are not those that it gets.
+
+    Attributes:
+        centres: (2, 3) of the mean head.
+        identity: (I, 2, 3) offsets per unit of identity.
+        radius: World units.
+    """
+
+    centres: torch.Tensor
+    identity: torch.Tensor
+    radius: float
+
+
+class SkinPoints:
+    """Points of the skin and the eyeballs' centres; agrees with `HeadModel.mesh`, in float64 and with gradients.
+
+    Args:
+        template: (B, 3) vertices that the points depend on.
+        identity, expression: (I, B, 3) and (E, B, 3) offsets per unit of the codes.
+        mix: (K, B) weights by which they become the points.
+        names: Of the E expression coefficients.
+        eyes, eyes_identity: (2, 3) and (I, 2, 3) centres of the eyeballs.
+        radius, clearance: Of the eyeballs; the skin keeps that far from them.
+        fitted_from: The eyeballs that the skin was made for, if it has to be fitted to these.
+    """
+
+    def __init__(
+        self,
+        template: np.ndarray,
+        identity: np.ndarray,
+        expression: np.ndarray,
+        mix: np.ndarray,
+        names: Sequence[str],
+        eyes: np.ndarray,
+        eyes_identity: np.ndarray,
+        radius: float,
+        clearance: float,
+        fitted_from: OtherEyeballs | None = None,
+    ) -> None:
+        self._template, self._identity, self._expression = double(template), double(identity), double(expression)
+        self._mix, self._eyes, self._eyes_identity = double(mix), double(eyes), double(eyes_identity)
+        self.radius, self._clearance, self._fitted_from = float(radius), float(clearance), fitted_from
+        self._looks = [_look(name) for name in names]
+
+    def eye_centres(self, identity: torch.Tensor) -> torch.Tensor:
+        """(2, 3) centres of rotation, the subject's left first, world units."""
+        return self._eyes + torch.tensordot(identity, self._eyes_identity, 1)
+
+    def __call__(self, identity: torch.Tensor, expression: torch.Tensor, gaze: torch.Tensor) -> torch.Tensor:
+        """(K, 3) points in world units, at codes (I,) and (E,) and a gaze (2,): pitch and yaw, radians."""
+        driven = expression + self._lids(gaze)
+        base = self._template + torch.tensordot(identity, self._identity, 1) + torch.tensordot(
+            driven, self._expression, 1
+        )  # fmt: skip
+        centres = self.eye_centres(identity)
+        if self._fitted_from is not None:
+            old = self._fitted_from
+            olds = old.centres + torch.tensordot(identity, old.identity, 1)
+            for before, after in zip(olds, centres, strict=True):
+                base = _fit_lids(base, before, old.radius, after, self.radius)
+        points = self._mix @ base
+        for centre in centres:
+            offset = points - centre
+            distance = offset.norm(dim=1, keepdim=True).clamp(min=1e-6)
+            points = centre + offset * ((self.radius + self._clearance) / distance).clamp(min=1.0)
+        return points
+
+    def _lids(self, gaze: torch.Tensor) -> torch.Tensor:
+        shares = gaze / double([LID_PITCH, LID_YAW])
+        none = torch.zeros((), dtype=torch.float64)
+        driven = [none if look is None else (look[1] * shares[look[0]]).clamp(0.0, LID_LIMIT) for look in self._looks]
+        return torch.stack(driven) if driven else torch.zeros(0, dtype=torch.float64)
+
+
+def double(values: object) -> torch.Tensor:
+    """A float64 tensor."""
+    return torch.as_tensor(np.asarray(values), dtype=torch.float64)
+
+
+def _look(name: str) -> tuple[int, float] | None:
+    if not name.startswith("eyeLook"):
+        return None
+    end = name.removeprefix("eyeLook")
+    return LOOKS.get(end) or LOOKS.get(end.removesuffix("Left").removesuffix("Right"))
+
+
+def _fit_lids(points: torch.Tensor, old: torch.Tensor, old_radius: float, new: torch.Tensor, radius: float):
+    """`gazenerf.head_model.lids.fit_lids` in torch."""
+    offset = points - old
+    distance = offset.norm(dim=1, keepdim=True).clamp(min=1e-6)
+    gap = distance - old_radius
+    weight = 1.0 - _smoothstep(0.02, 0.16, gap)
+    direction = offset / distance
+    opened = direction * double(LID_OPENING)
+    opened = opened / opened.norm(dim=1, keepdim=True).clamp(min=1e-6)
+    direction = direction + _smoothstep(0.1, 0.5, direction[:, 2:]) * (opened - direction)
+    return points + weight * (new + direction * (radius + gap) - points)
+
+
+def _smoothstep(low: float, high: float, values: torch.Tensor) -> torch.Tensor:
+    t = ((values - low) / (high - low)).clamp(0.0, 1.0)
+    return t * t * (3.0 - 2.0 * t)
+
+
+@dataclass(frozen=True)
+class LinearAlbedo:
+    """Albedo of some vertices, linear in the texture code before it is clipped.
+
+    Attributes:
+        mean: (K, 3) linear RGB.
+        basis: (T, K, 3) added per unit of each texture code.
+        lowest, highest: (K, 1) to which it is clipped.
+    """
+
+    mean: np.ndarray
+    basis: np.ndarray
+    lowest: np.ndarray
+    highest: np.ndarray
+
+    def at(self, texture: np.ndarray) -> np.ndarray:
+        """(K, 3) linear RGB at a texture code (T,)."""
+        return np.clip(self.mean + np.tensordot(texture, self.basis, 1), self.lowest, self.highest)

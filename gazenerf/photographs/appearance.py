@@ -1,0 +1,183 @@
+"""Texture and light codes from the pixels of photographs, with the fitted shape held.
+
+Vertices that a photograph shows inside the face oval, but neither between the lips nor between the lids, are compared
+with the colour of their pixels: albedo (linear in the texture code) times the irradiance of the light code. Light and
+albedo trade against each other; what decides is how the head model's own sampler draws them together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from scipy.optimize import minimize
+
+from gazenerf.data.rasterizer import Raster
+from gazenerf.geometry import Camera
+from gazenerf.head_model.interface import FACE, HeadMesh, HeadModel
+from gazenerf.head_model.points import double
+from gazenerf.head_model.sampling import sample_person
+from gazenerf.head_model.shading import LOBE, spherical_harmonics
+from gazenerf.photographs.irises import lids
+from gazenerf.photographs.landmarks import IN_THE_FACE_OVAL, FaceLandmarks
+
+FACE_OVAL = (
+    10, 338, 297, 332, 284, 251, 389, 356, 454, 323, 361, 288, 397, 365, 379, 378, 400, 377, 152, 148, 176, 149, 150,
+    136, 172, 58, 132, 93, 234, 127, 162, 21, 54, 103, 67, 109,
+)  # fmt: skip
+INNER_LIPS = (78, 191, 80, 81, 82, 13, 312, 311, 310, 415, 308, 324, 318, 402, 317, 14, 87, 178, 88, 95)
+"""MediaPipe's outlines."""
+
+STANDARD_OVAL, STANDARD_LIPS = tuple(range(27)), tuple(range(60, 68))
+
+SAMPLES, MOST_VERTICES, MOST_EYE_VERTICES = 400, 6000, 1200
+SKIN_DEVIATION, EYE_DEVIATION = 0.05, 0.10
+"""sRGB: what a pixel may miss."""
+
+SKIN_WEIGHT, EYE_WEIGHT = 400.0, 60.0
+"""How many independent pixels all vertices together count as: neighbours err alike."""
+
+FACING, DEPTH_UNITS = 0.25, 0.03
+
+
+@dataclass(frozen=True)
+class Seen:
+    """One photograph and the fitted head in it, at one size.
+
+    Attributes:
+        image: (H, W, 3) uint8 sRGB.
+        landmarks: In it.
+        camera, mesh, raster: Of the fitted head.
+        person: (H, W) bool, where the picture shows the person; None is everywhere.
+        labels: (H, W) uint8 of a face parser; None where there are none.
+    """
+
+    image: np.ndarray
+    landmarks: FaceLandmarks
+    camera: Camera
+    mesh: HeadMesh
+    raster: Raster
+    person: np.ndarray | None = None
+    labels: np.ndarray | None = None
+
+
+def face_oval(landmarks: FaceLandmarks, shape: tuple[int, int]) -> np.ndarray:
+    """(H, W) bool: inside the outline of the face, from brow or hairline to chin."""
+    return _filled(landmarks, FACE_OVAL if landmarks.dense else STANDARD_OVAL, shape, hull=not landmarks.dense)
+
+
+def skin_mask(seen: Seen) -> np.ndarray:
+    """(H, W) bool: pixels that tell the skin's colour."""
+    shape = seen.image.shape[:2]
+    grow = max(1, round(0.04 * seen.landmarks.interocular))
+    kernel = np.ones((2 * grow + 1, 2 * grow + 1), np.uint8)
+    skin = cv2.erode(face_oval(seen.landmarks, shape).astype(np.uint8), kernel, borderValue=0) > 0
+    lips = _filled(seen.landmarks, INNER_LIPS if seen.landmarks.dense else STANDARD_LIPS, shape)
+    openings = eye_openings(seen.landmarks, shape)
+    skin &= cv2.dilate((lips | openings).astype(np.uint8), kernel) == 0
+    skin &= seen.raster.parts == 1
+    if seen.person is not None:
+        skin &= seen.person
+    return skin if seen.labels is None else skin & np.isin(seen.labels, IN_THE_FACE_OVAL)
+
+
+def eye_openings(landmarks: FaceLandmarks, shape: tuple[int, int]) -> np.ndarray:
+    """(H, W) bool: between the lids."""
+    mask = np.zeros(shape, np.uint8)
+    cv2.fillPoly(mask, [np.round(outline).astype(np.int32) for outline in lids(landmarks)], 1)
+    return mask > 0
+
+
+def _filled(landmarks: FaceLandmarks, outline: Sequence[int], shape: tuple[int, int], hull: bool = False) -> np.ndarray:
+    points = np.round(landmarks.points[list(outline)]).astype(np.int32)
+    mask = np.zeros(shape, np.uint8)
+    cv2.fillPoly(mask, [cv2.convexHull(points) if hull else points], 1)
+    return mask > 0
+
+
+@dataclass(frozen=True)
+class _Colours:
+    """Vertices of one photograph: colours (N, 3), irradiance per light coefficient (N, 9), texture and its limits."""
+
+    observed: torch.Tensor
+    harmonics: torch.Tensor
+    mean: torch.Tensor
+    basis: torch.Tensor
+    lowest: torch.Tensor
+    highest: torch.Tensor
+    deviation: float
+    weight: float
+
+    def cost(self, texture: torch.Tensor, light: torch.Tensor) -> torch.Tensor:
+        albedo = self.mean + torch.tensordot(texture, self.basis, 1)
+        linear = albedo.clamp(self.lowest, self.highest) * (self.harmonics @ light.reshape(9, 3)).clamp(min=0.0)
+        linear = linear.clamp(1e-4, 1.5)
+        shown = torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1.0 / 2.4) - 0.055)
+        square = ((shown - self.observed) / self.deviation).square()
+        return self.weight * ((1.0 + square).sqrt() - 1.0).sum(dim=1).mean()
+
+
+def _colours(model: HeadModel, seen: Seen) -> list[_Colours]:
+    mesh, camera = seen.mesh, seen.camera
+    pixels, _ = camera.project(mesh.vertices.astype(np.float64))
+    away = camera.position - mesh.vertices
+    distance = np.linalg.norm(away, axis=1)
+    height, width = seen.image.shape[:2]
+    column, row = np.clip(np.floor(pixels).astype(int), 0, [width - 1, height - 1]).T
+    visible = np.abs(seen.raster.depth[row, column] - distance) < DEPTH_UNITS
+    visible &= (mesh.normals * away).sum(axis=1) > FACING * distance
+    on_skin = np.zeros(len(mesh.vertices), bool)
+    on_skin[mesh.part_faces(FACE)] = True
+    smooth = cv2.GaussianBlur(seen.image, (0, 0), 0.7).astype(np.float32) / 255.0
+    skin, eyes = skin_mask(seen), eye_openings(seen.landmarks, (height, width)) & (seen.raster.parts > 1)
+    rng, found = np.random.default_rng(0), []
+    for chosen, most, deviation, weight in (
+        (visible & on_skin & skin[row, column], MOST_VERTICES, SKIN_DEVIATION, SKIN_WEIGHT),
+        (visible & ~on_skin & eyes[row, column], MOST_EYE_VERTICES, EYE_DEVIATION, EYE_WEIGHT),
+    ):
+        vertices = rng.permutation(np.flatnonzero(chosen))[:most]
+        if len(vertices) == 0:
+            continue
+        at = (pixels[vertices] - 0.5).astype(np.float32)
+        observed = cv2.remap(smooth, at[:, :1], at[:, 1:], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[:, 0]
+        open_share = np.ones(len(vertices)) if mesh.occlusion is None else mesh.occlusion[vertices]
+        harmonics = spherical_harmonics(mesh.normals[vertices]) * LOBE * open_share[:, None]
+        albedo = model.albedo_at(vertices)
+        linear = (double(albedo.mean), double(albedo.basis), double(albedo.lowest), double(albedo.highest))
+        found.append(_Colours(double(observed), double(harmonics), *linear, deviation, weight))
+    return found
+
+
+def fit_appearance(model: HeadModel, photographs: Sequence[Seen]) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Texture code (T,) of a person and light codes (27,), one for each photograph.
+
+    Args:
+        model: The head model.
+        photographs: Of one person, with the fitted head.
+    """
+    rng = np.random.default_rng(0)
+    people = [sample_person(rng, model) for _ in range(SAMPLES)]
+    textures, lights = (np.stack([getattr(p, name) for p in people]) for name in ("texture", "illumination"))
+    texture_mean, texture_deviation = textures.mean(axis=0), textures.std(axis=0) + 0.15
+    light_mean = lights.mean(axis=0)
+    precision = double(np.linalg.inv(np.cov(lights.T) + 1e-3 * np.eye(lights.shape[1])))
+    colours, size = [_colours(model, seen) for seen in photographs], len(texture_mean)
+
+    def both(flat: np.ndarray) -> tuple[float, np.ndarray]:
+        leaf = double(flat).requires_grad_(True)
+        texture = leaf[:size]
+        cost = ((texture - double(texture_mean)) / double(texture_deviation)).square().sum()
+        for light, parts in zip(leaf[size:].reshape(len(colours), -1), colours, strict=True):
+            off = light - double(light_mean)
+            cost = cost + 0.5 * off @ precision @ off
+            for part in parts:
+                cost = cost + part.cost(texture, light)
+        (gradient,) = torch.autograd.grad(cost, leaf)
+        return cost.item(), gradient.numpy()
+
+    start = np.concatenate([texture_mean, np.tile(light_mean, len(colours))])
+    found = minimize(both, start, jac=True, method="L-BFGS-B", options={"maxiter": 200, "maxcor": 30, "ftol": 1e-7})
+    return found.x[:size], list(found.x[size:].reshape(len(colours), -1))

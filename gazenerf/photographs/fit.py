@@ -1,0 +1,246 @@
+"""From photographs of one person to subjects: shape, pose, gaze, then irises from pixels, then texture and light."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from gazenerf.data.rasterizer import Rasterizer
+from gazenerf.errors import UserError
+from gazenerf.head_model.interface import HeadModel
+from gazenerf.image_metrics import psnr
+from gazenerf.photographs.appearance import Seen, face_oval, fit_appearance
+from gazenerf.photographs.correspondence import LandmarkTable, table_for
+from gazenerf.photographs.irises import CLOSED, find_irises, openness
+from gazenerf.photographs.landmarks import FaceLandmarks
+from gazenerf.photographs.picture_terms import Observed
+from gazenerf.photographs.shape_fit import PictureFit, ShapeFit, fit_shape
+from gazenerf.subjects import Codes, Subject
+
+PROFILE_DEGREES = 60.0
+SMALLEST_INTEROCULAR, GAZE_INTEROCULAR = 8.0, 40.0
+"""Pixels between the eyes: fewer are refused; with fewer than the second the gaze is said to be doubtful."""
+
+WORKING_INTEROCULAR = 120.0
+"""Pixels between the eyes to which larger pictures are averaged down for texture, light and the overlay."""
+
+MARGIN = 2.2
+"""What is worked on around the eyes, in distances between the eyes to each side."""
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """A photograph and what is known of it.
+
+    Attributes:
+        name: For messages and files.
+        pixels: (H, W, 3) uint8 sRGB.
+        landmarks: Of the face that is meant.
+        person: (H, W) bool, where it shows a person; None where unknown.
+        labels: (H, W) uint8 of a face parser; None where unknown.
+        focal: Pixels, where it is known.
+    """
+
+    name: str
+    pixels: np.ndarray
+    landmarks: FaceLandmarks
+    person: np.ndarray | None = None
+    labels: np.ndarray | None = None
+    focal: float | None = None
+
+
+@dataclass(frozen=True)
+class FittedPhotograph:
+    """A fit of one photograph.
+
+    Attributes:
+        subject: Codes, camera of the whole photograph, gaze; the field is not fine-tuned to the person.
+        seen: The part of the photograph that was worked on, with the fitted head drawn in `drawn`.
+        drawn: (H, W, 3) uint8: the fitted head model, textured and lit.
+        projected: (L, 2) fitted vertices and
+        detected: (L, 2) the landmarks they stand for, pixels of `seen`.
+        residuals: Numbers, as the JSON beside a subject has them.
+        warnings: One line each.
+    """
+
+    subject: Subject
+    seen: Seen
+    drawn: np.ndarray
+    projected: np.ndarray
+    detected: np.ndarray
+    residuals: dict[str, Any]
+    warnings: list[str]
+
+
+def fit_photographs(
+    photographs: Sequence[Photograph], model: HeadModel, table_path: Path | None = None
+) -> list[FittedPhotograph]:
+    """Fit one person in one or several photographs; they share identity and texture.
+
+    Args:
+        photographs: Of one person, all with the same kind of landmarks.
+        model: The head model.
+        table_path: Landmark table of the head model; see `table_for`.
+
+    Raises:
+        UserError: a face is too small or seen in profile, or the landmarks differ in kind.
+    """
+    if len({photograph.landmarks.dense for photograph in photographs}) != 1:
+        raise UserError("give all photographs the same kind of landmarks, 68 or 478")
+    for photograph in photographs:
+        if photograph.landmarks.interocular < SMALLEST_INTEROCULAR:
+            raise UserError(
+                f"the eyes in {photograph.name} are {photograph.landmarks.interocular:.0f} pixels apart; give a larger "
+                f"picture of the face (at least {SMALLEST_INTEROCULAR:.0f}, better 100)"
+            )
+    table = table_for(model, photographs[0].landmarks.dense, table_path)
+    observed = [Observed(p.landmarks, (p.pixels.shape[1], p.pixels.shape[0]), focal=p.focal) for p in photographs]
+    coarse = fit_shape(model, observed, table)
+    for photograph, picture in zip(photographs, coarse.pictures, strict=True):
+        refuse_profile(photograph.name, picture)
+    shape = _with_pixel_irises(model, photographs, observed, table, coarse)
+    seen = [_seen(model, p, shape, i) for i, p in enumerate(photographs)]
+    texture, lights = fit_appearance(model, seen)
+    return [
+        _fitted(model, photograph, (coarse.pictures[i], shape.pictures[i]), shape.identity, seen[i],
+                (texture, lights[i]), table)
+        for i, photograph in enumerate(photographs)
+    ]  # fmt: skip
+
+
+def refuse_profile(name: str, picture: PictureFit) -> None:
+    """Refuse a head that is turned too far for landmarks to mean much.
+
+    Raises:
+        UserError: it is.
+    """
+    x, _, z = picture.camera.position
+    yaw = float(np.rad2deg(np.arctan2(x, z)))
+    if abs(yaw) > PROFILE_DEGREES:
+        raise UserError(
+            f"the head in {name} is turned by {abs(yaw):.0f} degrees; up to {PROFILE_DEGREES:.0f} can be fitted"
+        )
+
+
+def _with_pixel_irises(
+    model: HeadModel,
+    photographs: Sequence[Photograph],
+    observed: list[Observed],
+    table: LandmarkTable,
+    coarse: ShapeFit,
+) -> ShapeFit:
+    """The fit with irises from pixels where they are found."""
+    centres = np.asarray(model.eye_centres(coarse.identity), dtype=np.float64)
+    radius = model.skin_points(table.vertices[:1]).radius
+    better = [
+        item.with_irises(find_irises(p.pixels, p.landmarks, picture.camera, centres, radius))
+        for item, p, picture in zip(observed, photographs, coarse.pictures, strict=True)
+    ]
+    return coarse if all(item.irises is None for item in better) else fit_shape(model, better, table, coarse)
+
+
+def _seen(model: HeadModel, photograph: Photograph, shape: ShapeFit, number: int) -> Seen:
+    """The part of a photograph around the face, at the size that is worked on, with the fitted head."""
+    picture, landmarks = shape.pictures[number], photograph.landmarks
+    reach = MARGIN * landmarks.interocular
+    height, width = photograph.pixels.shape[:2]
+    middle = landmarks.points.mean(axis=0)
+    left, top = (int(value) for value in np.clip(np.floor(middle - reach), 0, [width - 16, height - 16]))
+    right, bottom = (int(value) for value in np.clip(np.ceil(middle + reach), [left + 16, top + 16], [width, height]))
+    factor = min(1.0, WORKING_INTEROCULAR / landmarks.interocular)
+    size = max(16, round((right - left) * factor)), max(16, round((bottom - top) * factor))
+    camera = picture.camera.cropped(left, top, right - left, bottom - top).resized(*size)
+
+    def part(array: np.ndarray, how: int) -> np.ndarray:
+        return cv2.resize(array[top:bottom, left:right], size, interpolation=how)
+
+    scale = np.array([size[0] / (right - left), size[1] / (bottom - top)])
+    zero = np.zeros(model.code_sizes[2], np.float32), np.zeros(27, np.float32)
+    mesh = model.mesh(Codes(shape.identity, picture.expression, *zero), picture.gaze)
+    with Rasterizer(size, 1) as rasterizer:
+        raster = rasterizer.render(mesh, np.zeros((len(mesh.vertices), 3)), camera)
+    person, labels = photograph.person, photograph.labels
+    return Seen(
+        part(photograph.pixels, cv2.INTER_AREA),
+        FaceLandmarks((landmarks.points - [left, top]) * scale),
+        camera, mesh, raster,
+        None if person is None else part(person.astype(np.uint8), cv2.INTER_NEAREST) > 0,
+        None if labels is None else part(labels, cv2.INTER_NEAREST),
+    )  # fmt: skip
+
+
+def _fitted(
+    model: HeadModel, photograph: Photograph, pictures: tuple[PictureFit, PictureFit], identity: np.ndarray, seen: Seen,
+    looks: tuple[np.ndarray, np.ndarray], table: LandmarkTable,
+) -> FittedPhotograph:  # fmt: skip
+    coarse, picture = pictures
+    codes = Codes(identity, picture.expression, *looks)
+    seen = replace(seen, mesh=model.mesh(codes, picture.gaze))
+    with Rasterizer((seen.camera.width, seen.camera.height), 2) as rasterizer:
+        raster = rasterizer.render_lit(seen.mesh, codes.illumination, seen.camera)
+    marks, irises = photograph.landmarks.points[table.landmarks], coarse is not picture
+    projected = picture.projected[: len(table.vertices)]
+    to_seen = np.array([seen.camera.fx / picture.camera.fx, seen.camera.fy / picture.camera.fy])
+    shift = np.array([seen.camera.cx, seen.camera.cy]) - to_seen * [picture.camera.cx, picture.camera.cy]
+    residuals = measured(photograph, coarse, picture, irises) | {"face_psnr_db": face_psnr(seen, raster.image)}
+    provenance = {"made_by": "gazenerf fit", "photograph": photograph.name, "head_model": model.name, "trained": False,
+                  "fine_tuned": False}  # fmt: skip
+    subject = Subject(Path(photograph.name).stem, codes, codes, picture.camera, picture.gaze, provenance)
+    detected = marks[: len(table.vertices)]
+    return FittedPhotograph(
+        subject, seen, raster.image, projected * to_seen + shift, detected * to_seen + shift, residuals,
+        doubts(photograph, irises),
+    )  # fmt: skip
+
+
+def measured(photograph: Photograph, coarse: PictureFit, picture: PictureFit, irises: bool) -> dict[str, Any]:
+    """What the fit leaves, in pixels, millimetres at the eyes, and percent of the distance between the eyes."""
+    interocular = photograph.landmarks.interocular
+
+    def lengths(pixels: np.ndarray) -> dict[str, float]:
+        found = {}
+        for name, value in (("median", np.median(pixels)), ("rms", np.sqrt(np.mean(np.square(pixels))))):
+            found |= {f"{name}_px": float(value), f"{name}_mm": float(value / picture.pixels_per_mm)}
+            found[f"{name}_percent"] = float(100.0 * value / interocular)
+        return found
+
+    position = picture.camera.position
+    yaw = np.rad2deg(np.arctan2(position[0], position[2]))
+    pitch = np.rad2deg(np.arctan2(position[1], np.hypot(position[0], position[2])))
+    return {
+        "interocular_px": interocular,
+        "landmarks": lengths(picture.residual_px),
+        "landmarks_less_expected_misses": lengths(picture.unexplained_px),
+        "gaze_degrees": list(picture.gaze.degrees),
+        "gaze_by_landmarks_degrees": list(coarse.gaze.degrees),
+        "irises": "pixels" if irises else "landmarks",
+        "camera_about_head_degrees": [float(pitch), float(yaw)],
+        "distance_m": float(np.linalg.norm(position)) * 0.1,
+        "focal_px": picture.camera.fx,
+    }
+
+
+def face_psnr(seen: Seen, drawn: np.ndarray) -> float | None:
+    """dB of the drawn head against the photograph inside the face oval; None where nothing of it is drawn."""
+    inside = face_oval(seen.landmarks, drawn.shape[:2]) & (seen.raster.parts > 0)
+    return float(psnr(drawn[inside] / 255.0, seen.image[inside] / 255.0)) if inside.any() else None
+
+
+def doubts(photograph: Photograph, irises: bool) -> list[str]:
+    """What a user should know of this fit, one line each."""
+    said = []
+    if max(openness(photograph.landmarks)) < CLOSED:
+        said.append(f"the eyes in {photograph.name} look closed; its gaze is a guess")
+    elif not irises:
+        said.append(f"no iris was found in the pixels of {photograph.name} (glasses?); its gaze is by landmarks")
+    if photograph.landmarks.interocular < GAZE_INTEROCULAR:
+        said.append(
+            f"the eyes in {photograph.name} are {photograph.landmarks.interocular:.0f} pixels apart; below "
+            f"{GAZE_INTEROCULAR:.0f} the gaze is doubtful"
+        )
+    return said

@@ -1,0 +1,92 @@
+"""Irises found in the pixels of a photograph, on the eyeballs of a fitted head."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from gazenerf.evaluation.iris import fit_iris
+from gazenerf.geometry import Camera
+from gazenerf.head_model.eyes import IRIS_ANGLE
+from gazenerf.photographs.landmarks import FaceLandmarks
+from gazenerf.photographs.picture_terms import MM_PER_UNIT, IrisPoints
+
+LIDS_LEFT = (263, 466, 388, 387, 386, 385, 384, 398, 362, 382, 381, 380, 374, 373, 390, 249)
+LIDS_RIGHT = (33, 246, 161, 160, 159, 158, 157, 173, 133, 155, 154, 153, 145, 144, 163, 7)
+"""MediaPipe's outlines of the openings of the subject's left and right eye."""
+
+STANDARD_LIDS = (tuple(range(42, 48)), tuple(range(36, 42)))
+
+SPREAD_MM = 0.5
+"""Standard deviation of an iris found in pixels, on each axis."""
+
+LARGEST_INTEROCULAR = 200.0
+"""Pixels: larger eyes are averaged down to this before they are searched."""
+
+AWAY_MM = 3.0
+"""An iris farther from the detected one is something else: the shadow of a lid, a corner of the eye."""
+
+CLOSED = 0.12
+"""An eye whose opening is less high than this share of its width counts as closed; open ones have 0.25 to 0.4."""
+
+
+def lids(landmarks: FaceLandmarks) -> tuple[np.ndarray, np.ndarray]:
+    """Outlines (N, 2) of the openings of the subject's left and right eye, pixels."""
+    left, right = (LIDS_LEFT, LIDS_RIGHT) if landmarks.dense else STANDARD_LIDS
+    return landmarks.points[list(left)], landmarks.points[list(right)]
+
+
+def openness(landmarks: FaceLandmarks) -> tuple[float, float]:
+    """Height of the openings of the left and right eye as a share of their widths."""
+    axes = landmarks.eye_axes
+    left, right = (np.ptp(outline @ axes.T, axis=0) for outline in lids(landmarks))
+    return float(left[1] / max(left[0], 1e-9)), float(right[1] / max(right[0], 1e-9))
+
+
+def find_irises(
+    image: np.ndarray, landmarks: FaceLandmarks, camera: Camera, centres: np.ndarray, radius: float
+) -> IrisPoints | None:
+    """The irises of a photograph, each searched inside its lids as a dark disc on the fitted eyeball.
+
+    Args:
+        image: (H, W, 3) uint8 sRGB.
+        landmarks: Tell where the lids are.
+        camera: Of the fitted head.
+        centres: (2, 3) of the eyeballs, the subject's left first, world units.
+        radius: Of the eyeballs, world units.
+
+    Returns:
+        None where neither eye shows one.
+    """
+    outlines = lids(landmarks)
+    window, view = _window(image, np.concatenate(outlines), camera, landmarks.interocular)
+    scale = np.array([view.fx / camera.fx, view.fy / camera.fy])
+    corner = np.array([camera.cx, camera.cy]) - np.array([view.cx, view.cy]) / scale
+    found = np.full((2, 2), np.nan)
+    for eye, outline in enumerate(outlines):
+        if openness(landmarks)[eye] < CLOSED:
+            continue
+        mask = np.zeros(window.shape[:2], np.uint8)
+        inside = np.round(((outline - corner) * scale - 0.5) * 16.0).astype(np.int32)
+        cv2.fillPoly(mask, [inside], 1, lineType=cv2.LINE_8, shift=4)
+        fit = fit_iris(window / 255.0, mask > 0, view, centres[eye], radius)
+        if fit is not None:
+            found[eye] = camera.project(centres[eye] + np.cos(IRIS_ANGLE) * radius * fit.direction)[0]
+    if landmarks.irises is not None:
+        _, z = camera.project(centres)
+        away = np.linalg.norm(found - landmarks.irises, axis=1) * z / camera.fx * MM_PER_UNIT
+        found[away > AWAY_MM] = np.nan
+    return IrisPoints(found, SPREAD_MM, float(np.cos(IRIS_ANGLE))) if np.isfinite(found).any() else None
+
+
+def _window(image: np.ndarray, points: np.ndarray, camera: Camera, interocular: float) -> tuple[np.ndarray, Camera]:
+    """The part of a picture around points (N, 2), not larger than is of use, and its camera."""
+    height, width = image.shape[:2]
+    low = np.clip(np.floor(points.min(axis=0) - 8).astype(int), 0, [width - 2, height - 2])
+    high = np.clip(np.ceil(points.max(axis=0) + 8).astype(int), low + 2, [width, height])
+    view = camera.cropped(int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1]))
+    part, factor = image[low[1] : high[1], low[0] : high[0]], LARGEST_INTEROCULAR / interocular
+    if factor >= 1.0:
+        return part, view
+    size = max(2, round(view.width * factor)), max(2, round(view.height * factor))
+    return cv2.resize(part, size, interpolation=cv2.INTER_AREA), view.resized(*size)

@@ -1,0 +1,234 @@
+"""The 3DMM fit: shape, expression, head pose, focal length and gaze from landmarks, by maximum a posteriori.
+
+Each picture has a camera, a gaze and an expression of its own; all share one identity. What is minimised is the sum of
+
+- robust (pseudo-Huber) landmark residuals in millimetres, in units of each landmark's noise, less the mean miss
+  that the table tells for this pose, gaze and identity, and a combination of its error components, whose amounts are
+  fitted with unit variance (docs/photos.md);
+- residuals of irises that were found in the pixels;
+- squares of identity, expression, gaze and the logarithm of the distance, in units of their prior's deviation.
+
+Focal length and distance are all but exchangeable in one picture; what decides is the prior of the distance, which
+holds for cropped pictures as well as for whole ones, unlike one of the focal length.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.optimize import minimize
+
+from gazenerf.geometry import Camera, Gaze
+from gazenerf.head_model.eyes import CORNEA_BULGE
+from gazenerf.head_model.interface import HeadModel
+from gazenerf.head_model.points import SkinPoints, double
+from gazenerf.photographs.correspondence import LandmarkTable
+from gazenerf.photographs.picture_terms import (
+    DISTANCE_DEVIATION,
+    Observed,
+    PictureParameters,
+    PictureTerms,
+    gaze_direction,
+)
+
+IDENTITY_DEVIATION = 0.85
+EXPRESSION_DEVIATION, RARE_DEVIATION = 0.25, 0.12
+RARE = ("jawLeft", "jawRight", "mouthLeft", "mouthRight", "cheekPuff", "jawForward")
+UNSEEN = ("tongueOut",)
+GAZE_DEVIATION = np.deg2rad([11.0, 16.0])
+"""Pitch and yaw."""
+
+POSE_STEPS, STEPS, MORE_STEPS = 60, 180, 90
+
+EXPRESSION_UNIT = 0.1
+"""A step of an expression coefficient for the minimiser."""
+
+
+@dataclass(frozen=True)
+class PictureFit:
+    """One picture's part of a fit.
+
+    Attributes:
+        camera: Its world is the head's frame.
+        gaze, expression: Head frame; (E,).
+        residual_px: (L,) distances of the table's landmarks from the fitted vertices.
+        unexplained_px: (L,) what the table's misses and error components leave of them.
+        projected: (L, 2) where the fitted vertices are seen, pixels.
+        pixels_per_mm: At the eyes.
+    """
+
+    camera: Camera
+    gaze: Gaze
+    expression: np.ndarray
+    residual_px: np.ndarray
+    unexplained_px: np.ndarray
+    projected: np.ndarray
+    pixels_per_mm: float
+
+
+@dataclass(frozen=True)
+class ShapeFit:
+    """A fit of one person.
+
+    Attributes:
+        identity: (I,).
+        pictures: In the order given.
+        cost: What was minimised.
+    """
+
+    identity: np.ndarray
+    pictures: list[PictureFit]
+    cost: float
+
+
+def fit_shape(
+    model: HeadModel, observed: Sequence[Observed], table: LandmarkTable, start: ShapeFit | None = None
+) -> ShapeFit:
+    """Fit one person in one or several pictures.
+
+    Args:
+        model: The head model.
+        observed: Pictures of one person.
+        table: For this model and these landmarks.
+        start: A fit to begin with; else the mean head is turned to the landmarks first.
+    """
+    problem = _Problem(model, observed, table)
+    values = problem.values(start) if start is not None else problem.posed()
+    values, cost = problem.minimised(values, STEPS if start is None else MORE_STEPS)
+    return problem.fit(values, cost)
+
+
+class _Problem:
+    """The cost and its parameters, one flat vector: identity; then rotation, place, scale, distance, gaze, expression
+    and error components of each picture."""
+
+    def __init__(self, model: HeadModel, observed: Sequence[Observed], table: LandmarkTable) -> None:
+        if any(item.landmarks.irises is None for item in observed):
+            table = table.without_irises()
+        self.table, self.observed = table, list(observed)
+        self.points: SkinPoints = model.skin_points(table.vertices)
+        self.sizes = (model.code_sizes[0], model.code_sizes[1], len(table.components_mm))
+        self.deviation = expression_deviations(model.expression_names)
+        self.per_picture = 9 + self.sizes[1] + self.sizes[2]
+        self.terms = [PictureTerms(item, table, self.points.radius) for item in self.observed]
+
+    def parts(self, values: torch.Tensor) -> tuple[torch.Tensor, list[PictureParameters]]:
+        identities, expressions, _ = self.sizes
+        pictures = values[identities:].reshape(len(self.observed), self.per_picture)
+        return values[:identities], [
+            PictureParameters(p[:3], p[3:5], p[5], p[6], p[7:9], p[9 : 9 + expressions], p[9 + expressions :])
+            for p in pictures
+        ]
+
+    def cost(self, values: torch.Tensor) -> torch.Tensor:
+        identity, pictures = self.parts(values)
+        total = (identity / IDENTITY_DEVIATION).square().sum()
+        seen = double(self.deviation).clamp(min=1e-6)
+        for picture, terms in zip(pictures, self.terms, strict=True):
+            centres, points = self.points.eye_centres(identity), self.marks(identity, picture)
+            total = total + terms.landmark_cost(picture, points, identity) + terms.iris_cost(picture, centres)
+            total = total + (picture.expression / seen).square().sum() + picture.errors.square().sum()
+            total = total + (picture.gaze / double(GAZE_DEVIATION)).square().sum() + terms.distance_cost(picture)
+        return total
+
+    def marks(self, identity: torch.Tensor, picture: PictureParameters) -> torch.Tensor:
+        """(L, 3) what the table's landmarks stand for, world units."""
+        points = self.points(identity, picture.expression, picture.gaze)
+        if not self.table.has_irises:
+            return points
+        reach = self.points.radius * (1.0 + CORNEA_BULGE)
+        return torch.cat([points, self.points.eye_centres(identity) + reach * gaze_direction(picture.gaze)])
+
+    def minimised(self, values: np.ndarray, steps: int, pose_only: bool = False) -> tuple[np.ndarray, float]:
+        """Bounded L-BFGS."""
+
+        units = self.units()
+
+        def both(flat: np.ndarray) -> tuple[float, np.ndarray]:
+            leaf = double(flat * units).requires_grad_(True)
+            cost = self.cost(leaf)
+            (gradient,) = torch.autograd.grad(cost, leaf)
+            return cost.item(), gradient.numpy() * units
+
+        bounds = self.bounds(values / units, pose_only)
+        options = {"maxiter": steps, "maxcor": 30, "maxfun": 2 * steps, "ftol": 1e-7}
+        found = minimize(both, values / units, jac=True, bounds=bounds, method="L-BFGS-B", options=options)
+        return found.x * units, float(found.fun)
+
+    def units(self) -> np.ndarray:
+        """A step of each parameter that matters about as much as one of any other."""
+        pose = [0.01, 0.01, 0.01, 0.002, 0.002, 0.01, DISTANCE_DEVIATION, 0.05, 0.05]
+        single = np.concatenate([pose, np.full(self.sizes[1], EXPRESSION_UNIT), np.ones(self.sizes[2])])
+        return np.concatenate([np.full(self.sizes[0], 0.3), np.tile(single, len(self.observed))])
+
+    def bounds(self, values: np.ndarray, pose_only: bool) -> list[tuple[float | None, float | None]]:
+        """Expressions from 0 to 1, what is not seen or not wanted where it is."""
+        if pose_only:
+            bounds: list[tuple[float | None, float | None]] = [(value, value) for value in values]
+            for i in range(len(self.observed)):
+                first = self.sizes[0] + i * self.per_picture
+                bounds[first : first + 6] = [(None, None)] * 6
+            return bounds
+        free: list[tuple[float | None, float | None]] = [(None, None)]
+        most = (
+            np.where(self.deviation > 0.0, 1.0, 0.0) / self.units()[-self.sizes[1] - self.sizes[2] :][: self.sizes[1]]
+        )
+        single = free * 9 + [(0.0, float(value)) for value in most]
+        return free * self.sizes[0] + (single + free * self.sizes[2]) * len(self.observed)
+
+    def posed(self) -> np.ndarray:
+        """The mean head turned to each picture's landmarks."""
+        identity, expression = (torch.zeros(size, dtype=torch.float64) for size in self.sizes[:2])
+        mean = self.points(identity, expression, torch.zeros(2, dtype=torch.float64)).numpy()
+        eyes = self.points.eye_centres(identity)
+        values = [np.zeros(self.sizes[0])]
+        for terms in self.terms:
+            values.append(np.zeros(self.per_picture))
+            values[-1][:7] = terms.start(mean)
+        flat, _ = self.minimised(np.concatenate(values), POSE_STEPS, pose_only=True)
+        _, pictures = self.parts(double(flat))
+        for terms, picture in zip(self.terms, pictures, strict=True):
+            terms.fix_millimetres(picture, eyes)
+        return flat
+
+    def values(self, start: ShapeFit) -> np.ndarray:
+        values = [start.identity]
+        for terms, picture in zip(self.terms, start.pictures, strict=True):
+            single = np.zeros(self.per_picture)
+            single[:7] = terms.from_camera(picture.camera, self.points.eye_centres(double(start.identity)).numpy())
+            single[7:9] = picture.gaze.pitch, picture.gaze.yaw
+            single[9 : 9 + self.sizes[1]] = picture.expression
+            values.append(single)
+        return np.concatenate(values)
+
+    def fit(self, values: np.ndarray, cost: float) -> ShapeFit:
+        identity, pictures = self.parts(double(values))
+        found = []
+        for picture, terms in zip(pictures, self.terms, strict=True):
+            points = self.marks(identity, picture)
+            projected = terms.project(picture, points).numpy()
+            marks = terms.observed.landmarks.points[self.table.landmarks]
+            missed = terms.unexplained(picture, points, identity).norm(dim=1).numpy()
+            pitch, yaw = picture.gaze.tolist()
+            found.append(
+                PictureFit(
+                    terms.camera(picture), Gaze(pitch, yaw), picture.expression.numpy().copy(),
+                    np.linalg.norm(projected - marks, axis=1), missed * terms.pixels_per_mm, projected,
+                    terms.pixels_per_mm,
+                )
+            )  # fmt: skip
+        return ShapeFit(identity.numpy().copy(), found, cost)
+
+
+def expression_deviations(names: Sequence[str]) -> np.ndarray:
+    """(E,) prior deviation of each expression coefficient; 0 where it stays 0: the gaze drives the eyeLook* ones."""
+    out = np.full(len(names), EXPRESSION_DEVIATION)
+    for i, name in enumerate(names):
+        if name in RARE:
+            out[i] = RARE_DEVIATION
+        if name in UNSEEN or name.startswith("eyeLook"):
+            out[i] = 0.0
+    return out

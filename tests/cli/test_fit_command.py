@@ -1,0 +1,84 @@
+"""`gazenerf fit` without MediaPipe: from files of landmarks and from a pretended detector, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import stat
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gazenerf.cli.main import main
+from gazenerf.data.rasterizer import Rasterizer
+from gazenerf.head_model import load_head_model
+from gazenerf.photographs.rendered_people import rendered_person
+from gazenerf.subjects import Subject
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A photograph of a rendered person, its standard landmarks, and two faces in one file."""
+    where, model = tmp_path_factory.mktemp("photo"), load_head_model()
+    with Rasterizer((256, 256), 2) as rasterizer:
+        item = rendered_person(model, rasterizer, 31, 0)
+    points, _ = item.camera.project(item.mesh.vertices[model.landmark_vertices].astype(float))
+    Image.fromarray(item.image).save(where / "me.png")
+    np.save(where / "marks.npy", points)
+    np.save(where / "two.npy", np.stack([points, points + 1.0]))
+    return where
+
+
+def fit(folder, *words: str) -> int:
+    return main(["fit", str(folder / "me.png"), *words])
+
+
+def test_a_subject_an_overlay_and_a_json_file_are_written(folder, capsys):
+    out = folder / "me.subject.safetensors"
+    assert fit(folder, "--landmarks", str(folder / "marks.npy"), "--out", str(out)) == 0
+    subject = Subject.load(out)
+    assert subject.camera is not None and subject.provenance["photograph"] == "me.png"
+    said = json.loads((folder / "me.subject.json").read_text())
+    assert said["fine_tuned"] is False and 0 < said["landmarks"]["median_percent"] < 4
+    assert said["gaze_degrees"] == pytest.approx(subject.gaze.degrees)
+    assert Image.open(folder / "me.subject.overlay.png").height >= 480
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "not fine-tuned" in printed
+    assert fit(folder, "--landmarks", str(folder / "marks.npy"), "--out", str(out)) == 2, "nothing is replaced unasked"
+
+
+def refused(folder, capsys, *words: str) -> str:
+    assert fit(folder, "--out", str(folder / "x.safetensors"), *words) == 2
+    assert not list(folder.glob("x*"))
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    return line
+
+
+def test_faces_are_chosen(folder, capsys):
+    assert "2 faces; choose one: --face 1" in refused(folder, capsys, "--landmarks", str(folder / "two.npy"))
+    assert "no --face 3" in refused(folder, capsys, "--landmarks", str(folder / "two.npy"), "--face", "3")
+
+
+def test_mistakes_are_one_line(folder, capsys):
+    marks = str(folder / "marks.npy")
+    assert "one file for each photograph: 1, got 2" in refused(folder, capsys, "--landmarks", marks, marks)
+    assert "--focal is in pixels" in refused(folder, capsys, "--landmarks", marks, "--focal", "0")
+    np.save(folder / "far.npy", np.load(folder / "marks.npy") + 900)
+    assert "lie outside its 256x256" in refused(folder, capsys, "--landmarks", str(folder / "far.npy"))
+    assert "there is no interpreter" in refused(folder, capsys, "--photo-python", str(folder / "none"))
+    assert main(["fit", str(folder / "marks.npy"), "--out", str(folder / "x.safetensors")]) == 2
+    assert "no readable" in capsys.readouterr().err
+    assert fit(folder, "--landmarks", marks, "--out", str(folder / "x.png")) == 2
+    assert "must end in .safetensors" in capsys.readouterr().err
+
+
+def test_a_picture_without_a_face_is_one_line(folder, capsys):
+    script, program = folder / "none.py", folder / "python"
+    script.write_text(
+        "import sys, numpy as np\n"
+        "np.savez(sys.argv[3], landmarks_0=np.zeros((0, 478, 3)), person_0=np.zeros((256, 256), np.uint8))\n"
+    )
+    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" "{script}" "$@"\n')
+    program.chmod(program.stat().st_mode | stat.S_IXUSR)
+    assert "no face was found in" in refused(folder, capsys, "--photo-python", str(program))
