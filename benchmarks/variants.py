@@ -23,14 +23,16 @@ from gazenerf.checkpoints import load_field
 from gazenerf.data import CaptureSet
 from gazenerf.evaluation.run import EvaluateOptions, evaluate
 from gazenerf.field.model import TwoStreamField
-from gazenerf.geometry import Gaze
+from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model import ReferenceHead, load_head_model
 from gazenerf.heads import Head
 from gazenerf.heads.interface import HeadField
 from gazenerf.subjects import Codes, Subject
 from gazenerf.training.run import TrainOptions, train_field
+from gazenerf.viz.metrics.agreement import blemish_mm2, compare
 from gazenerf.viz.metrics.eyes import sweep_eyes
-from gazenerf.viz.metrics.readings import of_eyes
+from gazenerf.viz.metrics.readings import of_eyes, of_views
+from gazenerf.viz.reference.views import render_reference
 
 FIELD = {"feature_size": 64, "hidden": 96, "feature_channels": 48}
 """Small enough for minutes on one core: 64 feature pixels, streams of width 96."""
@@ -40,6 +42,10 @@ GROUPS: dict[str, dict[str, dict[str, Any]]] = {
         "feature_rotation": {"eye_motion": "feature_rotation"},
         "none": {"eye_motion": "none"},
         "rigid": {"eye_motion": "rigid"},
+    },
+    "geometry": {
+        "density": {"geometry": "density"},
+        "distance": {"geometry": "distance"},
     },
 }
 """Group to variant to the settings of the field that differ."""
@@ -53,6 +59,9 @@ OUTSIDE = ((0.0, 40.0), (0.0, -40.0), (0.0, 45.0), (0.0, -45.0))
 SWEEP_SIZE = 256
 """Pixels of the pictures on which irises are read."""
 
+AROUND, AROUND_SIZE = (-40.0, 0.0, 40.0), 192
+"""Yaws, degrees, and pixels of the views in which surfaces are compared with the head model's."""
+
 WITHIN = ("gaze_error_deg", "gaze_slope", "gaze_crosstalk", "gaze_nonlinear_deg", "gaze_spread_deg", "eye_drift_mm")
 """What `gazenerf check` measures of the eyes, over the gazes `INSIDE`."""
 
@@ -63,6 +72,9 @@ ROWS = {
     "gaze_commanded_deg": ("gaze by estimator, deg", 2),
     "depth_eyes_median_mm": ("depth of the eyes, mm", 2),
     "depth_median_mm": ("depth, mm", 2),
+    "normal_median_deg": ("normals, deg", 2),
+    "blemish_mm2": ("largest blemish, mm2", 0),
+    "silhouette_iou": ("silhouette IoU", 4),
     "gaze_error_deg": ("gaze by iris, inside the trained range, deg", 2),
     "gaze_error_outside_deg": ("the same outside, deg", 2),
     "irises_outside": ("irises found outside", 2),
@@ -129,11 +141,30 @@ def sweep_person(model: TwoStreamField, codes: Codes) -> dict[str, float]:
     inside = sweep_eyes(head, reference, [Gaze.from_degrees(*gaze) for gaze in INSIDE], SWEEP_SIZE)
     outside = sweep_eyes(head, reference, [Gaze.from_degrees(*gaze) for gaze in OUTSIDE], SWEEP_SIZE)
     metres = model.config.metres_per_unit
+    surface = surface_of(head, reference, metres)
     within, beyond = of_eyes(inside, metres), of_eyes(outside, metres)
-    return {name: within[name][0] for name in WITHIN} | {
-        "gaze_error_outside_deg": beyond["gaze_error_deg"][0],
-        "irises_outside": len(outside.rows) / (2 * len(OUTSIDE)),
-    }
+    return (
+        surface
+        | {name: within[name][0] for name in WITHIN}
+        | {
+            "gaze_error_outside_deg": beyond["gaze_error_deg"][0],
+            "irises_outside": len(outside.rows) / (2 * len(OUTSIDE)),
+        }
+    )
+
+
+def surface_of(head: HeadField, reference: ReferenceHead, metres_per_unit: float) -> dict[str, float]:
+    """How far the surface that is seen is from the head model's, with the eyes straight ahead."""
+    bound, mesh = head.at(Gaze()), reference.at(Gaze())
+    views, blemishes = [], []
+    for yaw in np.deg2rad(AROUND):
+        camera = Camera.orbit(float(yaw), size=AROUND_SIZE)
+        view = bound.render_geometry(camera, normals=True)
+        (theirs,) = render_reference(mesh, [camera], "pyrender")
+        views.append(compare(view, theirs, metres_per_unit))
+        blemishes.append(blemish_mm2(view, theirs, metres_per_unit))
+    found = of_views(views, blemishes)
+    return {name: found[name][0] for name in ("normal_median_deg", "blemish_mm2", "silhouette_iou")}
 
 
 def table(out: Path, group: str) -> str:
