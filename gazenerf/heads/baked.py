@@ -23,7 +23,7 @@ from gazenerf.field.compositing import composite
 from gazenerf.field.sampling import shell_samples
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.geometry.paths import GazeRange
-from gazenerf.heads.batches import Drawn, FrameBatches, PictureRays, draw_rays
+from gazenerf.heads.batches import Drawn, FrameBatches, PictureRays, Rays, draw_rays
 from gazenerf.heads.bound import BoundHead
 from gazenerf.heads.feature_map import RayFeatures, Window
 from gazenerf.heads.head import Head
@@ -253,37 +253,17 @@ class _BakedRays(PictureRays):
         self.bounds, self.baked = bounds, bounds[0].baked
         self.config = bounds[0].bound.field.config
 
-    def first(
-        self,
-        rays_o: torch.Tensor,
-        rays_d: torch.Tensor,
-        background: torch.Tensor,
-        window: Window | None,
-        pictures: torch.Tensor,
-    ) -> RayFeatures:
+    def first(self, rays: Rays, window: Window | None) -> RayFeatures:
         """See `PictureRays`; a bake is looked through from the front, whatever the window."""
-        return self._surface(rays_o, rays_d, background, pictures)
+        return self._surface(rays)
 
-    def behind(
-        self,
-        rays_o: torch.Tensor,
-        rays_d: torch.Tensor,
-        background: torch.Tensor,
-        window: Window,
-        pictures: torch.Tensor,
-    ) -> RayFeatures:
+    def behind(self, rays: Rays, window: Window) -> RayFeatures:
         """See `PictureRays`."""
-        return self._surface(rays_o, rays_d, background, pictures, window[0])
+        return self._surface(rays, window[0])
 
-    def _surface(
-        self,
-        rays_o: torch.Tensor,
-        rays_d: torch.Tensor,
-        background: torch.Tensor,
-        pictures: torch.Tensor,
-        start: torch.Tensor | None = None,
-    ) -> RayFeatures:
+    def _surface(self, seen: Rays, start: torch.Tensor | None = None) -> RayFeatures:
         """What rays see of the first surface from a distance `start` (R,) on."""
+        rays_o, rays_d, background, pictures = seen
         config, density = self.config, self.baked.density
         features, opacity = background.clone(), rays_o.new_zeros(len(rays_o))
         distance = rays_o.new_full((len(rays_o),), torch.nan)

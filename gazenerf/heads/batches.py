@@ -6,7 +6,7 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
 import numpy as np
 import torch
@@ -115,22 +115,45 @@ class FrameBatches(Generic[Bound]):
             )
 
 
+class Rays(NamedTuple):
+    """Rays of several pictures.
+
+    Attributes:
+        origins, directions: (R, 3).
+        background: (R, C) features behind.
+        pictures: (R,) number of the picture that each belongs to.
+    """
+
+    origins: torch.Tensor
+    directions: torch.Tensor
+    background: torch.Tensor
+    pictures: torch.Tensor
+
+    def some(self, index: torch.Tensor) -> Rays:
+        """Those at an index."""
+        return Rays(*(values[index] for values in self))
+
+
 class PictureRays(ABC):
     """What rays of several pictures see of one head, each picture at its own gaze."""
 
     @abstractmethod
-    def first(
-        self,
-        rays_o: torch.Tensor,
-        rays_d: torch.Tensor,
-        background: torch.Tensor,
-        window: Window | None,
-        pictures: torch.Tensor,
-    ) -> RayFeatures:
-        """What rays see of the first surface within a window; see `feature_map.Composite`."""
+    def first(self, rays: Rays, window: Window | None) -> RayFeatures:
+        """What rays see of the first surface within a window."""
 
     @abstractmethod
-    def behind(
+    def behind(self, rays: Rays, window: Window) -> RayFeatures:
+        """What rays see of the first surface that lies behind another one."""
+
+    def is_hazy(self, opacity: torch.Tensor) -> bool:
+        """Does a picture whose rays hold these opacities (R,) show no surface?"""
+        return False
+
+    def add_behind(self, front: RayFeatures, rays: Rays) -> RayFeatures:
+        """What `first` gave, in place with a second surface where the first one lets light through."""
+        return add_behind(front, rays.background, lambda index, where: self.behind(rays.some(index), where))
+
+    def composited(
         self,
         rays_o: torch.Tensor,
         rays_d: torch.Tensor,
@@ -138,57 +161,29 @@ class PictureRays(ABC):
         window: Window,
         pictures: torch.Tensor,
     ) -> RayFeatures:
-        """What rays see of the first surface that lies behind another one."""
-
-    def is_hazy(self, opacity: torch.Tensor) -> bool:
-        """Does a picture whose rays hold these opacities (R,) show no surface?"""
-        return False
-
-    def add_behind(
-        self,
-        front: RayFeatures,
-        rays_o: torch.Tensor,
-        rays_d: torch.Tensor,
-        background: torch.Tensor,
-        pictures: torch.Tensor,
-    ) -> RayFeatures:
-        """What `first` gave, in place with a second surface where the first one lets light through."""
-
-        def look(rays: torch.Tensor, where: Window) -> RayFeatures:
-            return self.behind(rays_o[rays], rays_d[rays], background[rays], where, pictures[rays])
-
-        return add_behind(front, background, look)
-
-    def composited(
-        self,
-        rays_o: torch.Tensor,
-        rays_d: torch.Tensor,
-        background: torch.Tensor,
-        window: Window | None,
-        pictures: torch.Tensor,
-    ) -> RayFeatures:
-        """What rays see of both surfaces."""
-        front = self.first(rays_o, rays_d, background, window, pictures)
-        return self.add_behind(front, rays_o, rays_d, background, pictures)
+        """What rays see of both surfaces; see `feature_map.Composite`."""
+        rays = Rays(rays_o, rays_d, background, pictures)
+        return self.add_behind(self.first(rays, window), rays)
 
 
-def draw_rays(head: Head, rays: PictureRays, cameras: Sequence[Camera]) -> list[Drawn] | None:
+def draw_rays(head: Head, seen_by: PictureRays, cameras: Sequence[Camera]) -> list[Drawn] | None:
     """Pictures of a head and their geometry, computed in one pass; None where one of them shows haze.
 
     Args:
         head: Its field draws them.
-        rays: What is seen along the rays of the pictures.
+        seen_by: What is seen along the rays of the pictures.
         cameras: One for each picture, all of one size.
     """
     grid = FeatureGrid.of(cameras[0], head.field.config, head.device, *cameras[1:])
     with head.quickly():
         background = head.field.renderer.background(*grid.shape)[0].flatten(1).T.float()
         background = background if len(cameras) == 1 else background.repeat(len(cameras), 1)
-        front = rays.first(grid.rays_o, grid.rays_d, background, None, grid.pictures)
-        if any(rays.is_hazy(opacity) for opacity in front.opacity.chunk(len(cameras))):
+        rays = Rays(grid.rays_o, grid.rays_d, background, grid.pictures)
+        front = seen_by.first(rays, None)
+        if any(seen_by.is_hazy(opacity) for opacity in front.opacity.chunk(len(cameras))):
             return None
-        found = rays.add_behind(front, grid.rays_o, grid.rays_d, background, grid.pictures)
-        seen = grid.smooth_outline(rays.composited, background, found, cut=True)
+        found = seen_by.add_behind(front, rays)
+        seen = grid.smooth_outline(seen_by.composited, background, found, cut=True)
         pictures = head.pictures(seen, grid.shape)
     images = [to_picture(picture, camera) for picture, camera in zip(pictures, cameras, strict=True)]
     return list(zip(images, grid.geometry(seen), strict=True))
@@ -223,38 +218,26 @@ class _GuidedRays(PictureRays):
         number = {id(bound): i for i, bound in enumerate(self._gazes)}
         self._gaze_of_picture = torch.tensor([number[id(bound)] for bound in bounds], device=bounds[0].device)
 
-    def first(
-        self,
-        rays_o: torch.Tensor,
-        rays_d: torch.Tensor,
-        background: torch.Tensor,
-        window: Window | None,
-        pictures: torch.Tensor,
-    ) -> RayFeatures:
+    def first(self, rays: Rays, window: Window | None) -> RayFeatures:
         """See `PictureRays`."""
         if len(self._gazes) == 1:
-            return composite_rays(self._gazes[0], rays_o, rays_d, self._streams, background, window)
-        features, (opacity, distance, end) = background.clone(), rays_o.new_full((3, len(rays_o)), torch.nan)
-        gaze = self._gaze_of_picture[pictures]
+            return composite_rays(self._gazes[0], *rays[:2], self._streams, rays.background, window)
+        count = len(rays.origins)
+        features, (opacity, distance, end) = rays.background.clone(), rays.origins.new_full((3, count), torch.nan)
+        gaze = self._gaze_of_picture[rays.pictures]
         for number, bound in enumerate(self._gazes):
             here = (gaze == number).nonzero()[:, 0]
             within = None if window is None else (window[0][here], window[1][here])
-            seen = composite_rays(bound, rays_o[here], rays_d[here], self._streams, background[here], within)
+            part = rays.some(here)
+            seen = composite_rays(bound, part.origins, part.directions, self._streams, part.background, within)
             assert seen.end is not None
             features[here], opacity[here] = seen.features, seen.opacity
             distance[here], end[here] = seen.distance, seen.end
         return RayFeatures(features, opacity, distance, end)
 
-    def behind(
-        self,
-        rays_o: torch.Tensor,
-        rays_d: torch.Tensor,
-        background: torch.Tensor,
-        window: Window,
-        pictures: torch.Tensor,
-    ) -> RayFeatures:
+    def behind(self, rays: Rays, window: Window) -> RayFeatures:
         """See `PictureRays`."""
-        return self.first(rays_o, rays_d, background, window, pictures)
+        return self.first(rays, window)
 
     def is_hazy(self, opacity: torch.Tensor) -> bool:
         """See `PictureRays`."""
