@@ -25,7 +25,7 @@ from gazenerf.geometry import Camera
 from gazenerf.geometry.camera_options import CAMERA, CameraPathOptions
 from gazenerf.geometry.cameras import NEUTRAL_DISTANCE, NEUTRAL_FOV
 from gazenerf.geometry.paths import CAMERA_PATHS, check_frames
-from gazenerf.heads.interface import PARTS, BoundField, Part, RenderedView
+from gazenerf.heads.interface import PARTS, BoundField, GeometryView, Part, RenderedView
 from gazenerf.options import option, to_dict
 from gazenerf.progress import Progress, silent
 
@@ -39,6 +39,9 @@ SOLID = 0.95
 """Opacity from which a pixel gives a point."""
 
 
+DEPTH_UNIT = 0.001
+"""What one step of depth is in the unit of the poses; nerfstudio takes this unless it is told otherwise."""
+
 RINGS = "rings"
 
 
@@ -50,6 +53,7 @@ class DatasetOptions(CameraPathOptions):
         part: Which picture.
         layouts: Some of `LAYOUTS`.
         points: How many surface points, about.
+        depth: Write depth and a mask beside every picture.
         camera_path: `rings`, or as for `CameraPathOptions`.
         frames: Number of pictures.
     """
@@ -57,6 +61,7 @@ class DatasetOptions(CameraPathOptions):
     layouts: tuple[str, ...] = option(LAYOUTS, "nerfstudio, colmap (default: both)", metavar="L")
     part: Part = option("head", "which picture (default: head)", choices=("head", "face", "eyes"))
     points: int = option(POINTS, "surface points (default: 30000)", metavar="N")
+    depth: bool = option(False, "write depth and masks as well, which take ten times as long as the pictures")
     frames: int = option(60, "number of pictures (default: 60)", metavar="N", group=CAMERA)
     camera_path: str = option(
         RINGS,
@@ -136,7 +141,10 @@ def write_dataset(
     """Render pictures and write them with their cameras to a folder.
 
     `images/0000.png` and so on; `transforms.json` for nerfstudio; `sparse/0/{cameras,images,points3D}.txt`
-    for COLMAP; `points.ply`, surface points that the pictures show; `dataset.json`, what it all is.
+    for COLMAP; `points.ply`, surface points that the pictures show; `dataset.json`, what it all is. With
+    `options.depth` also `depth/0000.npy`, (H, W) float32 camera z in millimetres, 0 where nothing is seen, which is
+    what nerfstudio takes without further options; and `masks/0000.png.png`, white where something is seen, by the names
+    that COLMAP looks for.
     Positions are in metres, so that meshes of the same head lie in the same place.
 
     Args:
@@ -160,6 +168,7 @@ def write_dataset(
         raise UserError("give at least one camera and one layout")
     out = Path(out)
     written = {"pictures": out / "images", "points": out / "points.ply", "about": out / "dataset.json"}
+    written |= {"depth": out / "depth", "masks": out / "masks"} if options.depth else {}
     written |= {"nerfstudio": out / "transforms.json"} if "nerfstudio" in layouts else {}
     written |= {"colmap": out / "sparse" / "0"} if "colmap" in layouts else {}
     refuse_existing(written.values(), overwrite)
@@ -168,12 +177,15 @@ def write_dataset(
     seen: list[SeenPoints] = []
     rng = np.random.default_rng(0)
     with whole_folder(out) as folder:
-        (folder / "images").mkdir()
+        for name in ("images", "depth", "masks") if options.depth else ("images",):
+            (folder / name).mkdir()
         for i, camera in enumerate(cameras):
             view = bound.render(camera, (part,))
             pixels = np.clip(np.round(255.0 * view.images[part]), 0, 255).astype(np.uint8)
             Image.fromarray(pixels).save(folder / "images" / names[i])
             seen.append(_seen_points(view, part, -(-points // len(cameras)), rng))
+            if options.depth:
+                _write_depth(bound.render_geometry(camera, part), folder, names[i], scale)
             progress("rendering", i + 1, len(cameras))
         metric = [in_metres(camera, scale) for camera in cameras]
         cloud = [SeenPoints(shown.pixels, scale * shown.points, shown.colours) for shown in seen]
@@ -185,7 +197,7 @@ def write_dataset(
         )
         write_points(everything, 1.0, folder / "points.ply")
         if "nerfstudio" in layouts:
-            text = json.dumps(transforms(metric, names), indent=1, allow_nan=False)
+            text = json.dumps(transforms(metric, names, options.depth), indent=1, allow_nan=False)
             (folder / "transforms.json").write_text(text + "\n", encoding="ascii")
         if "colmap" in layouts:
             model = folder / "sparse" / "0"
@@ -218,9 +230,25 @@ def _seen_points(view: RenderedView, part: Part, count: int, rng: np.random.Gene
     return SeenPoints(pixels, points, np.clip(np.round(255.0 * colours), 0, 255).astype(np.uint8))
 
 
-def transforms(cameras: Sequence[Camera], names: Sequence[str]) -> dict[str, Any]:
-    """The content of a transforms.json: intrinsics of each frame, poses with OpenGL camera axes."""
-    frames = [
+def _write_depth(seen: GeometryView, folder: Path, name: str, metres_per_unit: float) -> None:
+    """Camera z of a picture in millimetres, and its mask."""
+    np.save(folder / "depth" / depth_name(name), np.nan_to_num(1000.0 * metres_per_unit * seen.depth_z))
+    Image.fromarray(np.where(np.isfinite(seen.depth), 255, 0).astype(np.uint8)).save(folder / "masks" / mask_name(name))
+
+
+def depth_name(picture: str) -> str:
+    """The depth file of a picture."""
+    return str(Path(picture).with_suffix(".npy"))
+
+
+def mask_name(picture: str) -> str:
+    """The mask of a picture: its name and another ending, as COLMAP looks for it."""
+    return f"{picture}.png"
+
+
+def transforms(cameras: Sequence[Camera], names: Sequence[str], depth: bool = False) -> dict[str, Any]:
+    """The content of a transforms.json: intrinsics of each frame, poses with OpenGL camera axes, and depth in mm."""
+    frames: list[dict[str, Any]] = [
         {
             "file_path": f"images/{name}",
             "fl_x": camera.fx,
@@ -233,7 +261,12 @@ def transforms(cameras: Sequence[Camera], names: Sequence[str]) -> dict[str, Any
         }
         for camera, name in zip(cameras, names, strict=True)
     ]
-    return {"camera_model": "OPENCV", "ply_file_path": "points.ply", "frames": frames}
+    content = {"camera_model": "OPENCV", "ply_file_path": "points.ply", "frames": frames}
+    if not depth:
+        return content
+    for frame, name in zip(frames, names, strict=True):
+        frame |= {"depth_file_path": f"depth/{depth_name(name)}", "mask_path": f"masks/{mask_name(name)}"}
+    return {"depth_unit_scale_factor": DEPTH_UNIT, **content}
 
 
 def colmap_model(cameras: Sequence[Camera], names: Sequence[str], seen: Sequence[SeenPoints]) -> dict[str, str]:

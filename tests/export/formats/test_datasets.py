@@ -14,6 +14,7 @@ from gazenerf.errors import UserError
 from gazenerf.export.formats.datasets import RING_PITCHES, DatasetOptions, rings, write_dataset
 from gazenerf.geometry import Camera
 from gazenerf.heads.analytic import AnalyticField, AnalyticHead
+from gazenerf.viz.check.frames import read_frames
 
 CAMERAS = rings(7, size=96)
 
@@ -21,7 +22,7 @@ CAMERAS = rings(7, size=96)
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
     out = tmp_path_factory.mktemp("dataset") / "out"
-    write_dataset(AnalyticField(sharpness=0.2), out, CAMERAS, DatasetOptions(points=700))
+    write_dataset(AnalyticField(sharpness=0.2), out, CAMERAS, DatasetOptions(points=700, depth=True))
     return out
 
 
@@ -85,6 +86,27 @@ def test_pictures_are_the_rendered_ones(dataset):
     view = AnalyticField(sharpness=0.2).render(CAMERAS[3])
     picture = np.asarray(Image.open(dataset / "images" / "0003.png"))
     assert np.array_equal(picture, np.round(255.0 * view.image).astype(np.uint8))
+
+
+def test_depth_is_camera_z_in_millimetres_as_check_reads_it(dataset):
+    frames = read_frames(dataset).frames
+    for frame, original, i in zip(frames, CAMERAS, range(len(CAMERAS)), strict=True):
+        expected = AnalyticField(sharpness=0.2).render_geometry(original).depth  # Euclidean, units of 0.1 m
+        np.testing.assert_allclose(frame.depth, 0.1 * expected, rtol=1e-5)
+        millimetres = np.load(dataset / "depth" / f"{i:04d}.npy")
+        assert millimetres.dtype == np.float32 and 900.0 < millimetres.max() < 1300.0
+        mask = np.asarray(Image.open(dataset / "masks" / f"{i:04d}.png.png"))
+        np.testing.assert_array_equal(mask == 255, np.isfinite(expected))
+        np.testing.assert_array_equal(millimetres > 0, np.isfinite(expected))
+    tree = json.loads((dataset / "transforms.json").read_text())
+    assert tree["frames"][2]["mask_path"] == "masks/0002.png.png" and tree["depth_unit_scale_factor"] == 0.001
+
+
+def test_depth_is_written_where_it_is_asked_for_only(tmp_path):
+    written = write_dataset(AnalyticField(), tmp_path / "out", CAMERAS[:2], DatasetOptions(points=20))
+    assert "depth" not in written and not (tmp_path / "out" / "depth").exists()
+    tree = json.loads((tmp_path / "out" / "transforms.json").read_text())
+    assert "depth_file_path" not in tree["frames"][0] and "depth_unit_scale_factor" not in tree
 
 
 def test_rings_look_at_the_head_from_all_sides():
