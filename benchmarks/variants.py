@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from benchmarks.measure import write_json
 from gazenerf.checkpoints import load_field
@@ -32,6 +33,8 @@ from gazenerf.training.run import TrainOptions, train_field
 from gazenerf.viz.metrics.agreement import blemish_mm2, compare
 from gazenerf.viz.metrics.eyes import sweep_eyes
 from gazenerf.viz.metrics.readings import of_eyes, of_views
+from gazenerf.viz.pictures.layout import table as table_of_pictures
+from gazenerf.viz.pictures.panels import draw_panels
 from gazenerf.viz.reference.views import render_reference
 
 FIELD = {"feature_size": 64, "hidden": 96, "feature_channels": 48}
@@ -186,6 +189,20 @@ def table(out: Path, group: str) -> str:
     return "\n".join(lines)
 
 
+def picture(options: argparse.Namespace) -> np.ndarray:
+    """(H, W, 3) uint8: the last person, never seen in training, by every variant of the first seed, with normals."""
+    captures = CaptureSet(options.data)
+    codes = first_codes(captures, captures.people[-1])
+    views = [Camera.orbit(float(np.deg2rad(yaw)), size=SWEEP_SIZE) for yaw in AROUND]
+    rows, names = [], []
+    for name in options.only or GROUPS[options.group]:
+        head = Head(load_field(options.out / f"{name}-{options.seeds[0]}" / "field.safetensors"), Subject("", codes))
+        drawn = [draw_panels(head.at(Gaze()), camera, ("image", "normals")) for camera in views]
+        rows.append([panels[kind] for kind in ("image", "normals") for panels in drawn])
+        names.append(name)
+    return table_of_pictures(rows, names, [f"{yaw:+g}" for yaw in 2 * AROUND], column_title="camera yaw, degrees")
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -199,6 +216,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--limit", type=int, default=4, help="captures of each person that are measured")
     parser.add_argument("--people", type=int, default=3, help="people of each kind whose eyes are swept")
     parser.add_argument("--table", action="store_true", help="only print what has been measured")
+    parser.add_argument("--picture", type=Path, help="also draw the last person by every variant to this file")
     options = parser.parse_args(arguments)
     for seed in () if options.table else options.seeds:
         for name in options.only or GROUPS[options.group]:
@@ -207,6 +225,8 @@ def main(arguments: list[str] | None = None) -> None:
                 field = train_variant(options, name, seed)
                 write_json(report, measure(field, options))
     print(table(options.out, options.group))
+    if options.picture is not None:
+        Image.fromarray(picture(options)).save(options.picture, quality=88)
 
 
 if __name__ == "__main__":
