@@ -27,6 +27,13 @@ def fitted(model, rendered, landmarks):
     return fit_photographs([Photograph("a.png", rendered[0].image, landmarks[0])], model)[0]
 
 
+@pytest.fixture
+def few_steps(monkeypatch):
+    """For what does not depend on how good a fit is."""
+    monkeypatch.setattr("gazenerf.photographs.shape_fit.STEPS", 15)
+    monkeypatch.setattr("gazenerf.photographs.shape_fit.MORE_STEPS", 5)
+
+
 def test_pose_gaze_and_surface_come_close(fitted, rendered):
     assert angle(rendered[0].camera, fitted.subject.camera) < 5.0
     assert np.rad2deg(rendered[0].gaze.angle_to(fitted.subject.gaze)) < 15.0
@@ -64,7 +71,7 @@ def test_68_exact_landmarks_without_irises(model, rendered):
     assert angle(item.camera, found.subject.camera) < 5.0 and found.residuals["landmarks"]["median_percent"] < 3.0
 
 
-def test_two_pictures_share_identity_and_texture(model, rendered, landmarks):
+def test_two_pictures_share_identity_and_texture(model, rendered, landmarks, few_steps):
     photographs = [Photograph(f"{i}.png", rendered[i].image, landmarks[i]) for i in (0, 0)]
     first, second = fit_photographs(photographs, model)
     assert (first.subject.codes.identity == second.subject.codes.identity).all()
@@ -92,7 +99,7 @@ def test_irises_are_found_in_pixels_on_true_eyeballs(rendered, landmarks):
     assert len(errors) >= 2 and np.median(errors) < 0.6, "millimetres"
 
 
-def test_closed_eyes_and_small_faces_are_said(model, rendered, landmarks):
+def test_closed_eyes_and_small_faces_are_said(model, rendered, landmarks, few_steps):
     item, points = rendered[0], landmarks[0].points.copy()
     from gazenerf.photographs.irises import LIDS_LEFT, LIDS_RIGHT
 
@@ -116,7 +123,7 @@ def test_faces_that_cannot_be_fitted_are_refused(model, rendered, landmarks, fit
         fit_photographs(mixed, model)
 
 
-def test_a_profile_is_refused(model, rendered, landmarks):
+def test_a_profile_is_refused(model, rendered, landmarks, few_steps):
     from dataclasses import replace
 
     from gazenerf.geometry import Camera
