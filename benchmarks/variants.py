@@ -159,13 +159,13 @@ def sweep_person(model: TwoStreamField, codes: Codes) -> dict[str, float]:
 def surface_of(head: HeadField, reference: ReferenceHead, metres_per_unit: float) -> dict[str, float]:
     """How far the surface that is seen is from the head model's, with the eyes straight ahead."""
     bound, mesh = head.at(Gaze()), reference.at(Gaze())
-    views, blemishes = [], []
-    for yaw in np.deg2rad(AROUND):
-        camera = Camera.orbit(float(yaw), size=AROUND_SIZE)
-        view = bound.render_geometry(camera, normals=True)
-        (theirs,) = render_reference(mesh, [camera], "pyrender")
-        views.append(compare(view, theirs, metres_per_unit))
-        blemishes.append(blemish_mm2(view, theirs, metres_per_unit))
+    cameras = [Camera.orbit(float(yaw), size=AROUND_SIZE) for yaw in np.deg2rad(AROUND)]
+    pairs = [
+        (bound.render_geometry(theirs.camera, normals=True), theirs)
+        for theirs in render_reference(mesh, cameras, "pyrender")
+    ]
+    views = [compare(ours, theirs, metres_per_unit) for ours, theirs in pairs]
+    blemishes = [blemish_mm2(ours, theirs, metres_per_unit) for ours, theirs in pairs]
     found = of_views(views, blemishes)
     return {name: found[name][0] for name in ("normal_median_deg", "blemish_mm2", "silhouette_iou")}
 

@@ -232,7 +232,7 @@ def _seen_points(view: RenderedView, part: Part, count: int, rng: np.random.Gene
 
 def _write_depth(seen: GeometryView, folder: Path, name: str, metres_per_unit: float) -> None:
     """Camera z of a picture in millimetres, and its mask."""
-    np.save(folder / "depth" / depth_name(name), np.nan_to_num(1000.0 * metres_per_unit * seen.depth_z))
+    np.save(folder / "depth" / depth_name(name), np.nan_to_num(metres_per_unit / DEPTH_UNIT * seen.depth_z))
     Image.fromarray(np.where(np.isfinite(seen.depth), 255, 0).astype(np.uint8)).save(folder / "masks" / mask_name(name))
 
 

@@ -14,6 +14,18 @@ LID_OPENING = np.array([1.3, 1.65, 1.0])
 LID_PITCH, LID_YAW = np.deg2rad(28.0), np.deg2rad(38.0)
 """Gaze angles at which the eyeLook lid shapes are fully on."""
 
+LOOKS = {
+    "eyeLookUpLeft": (0, 1.0),
+    "eyeLookUpRight": (0, 1.0),
+    "eyeLookDownLeft": (0, -1.0),
+    "eyeLookDownRight": (0, -1.0),
+    "eyeLookOutLeft": (1, 1.0),
+    "eyeLookInRight": (1, 1.0),
+    "eyeLookInLeft": (1, -1.0),
+    "eyeLookOutRight": (1, -1.0),
+}
+"""Coefficient to the angle of the gaze that drives it, 0 for pitch and 1 for yaw, and its sign."""
+
 LID_LIMIT = 1.2
 """Largest eyeLook coefficient that a gaze leads to."""
 
@@ -29,20 +41,11 @@ def lid_coefficients(names: Sequence[str], gaze: Gaze) -> np.ndarray:
         (E,) float32, zero for all other coefficients.
     """
     out = np.zeros(len(names), dtype=np.float32)
-    up, left = gaze.pitch / LID_PITCH, gaze.yaw / LID_YAW
-    amounts = {
-        "eyeLookUpLeft": up,
-        "eyeLookUpRight": up,
-        "eyeLookDownLeft": -up,
-        "eyeLookDownRight": -up,
-        "eyeLookOutLeft": left,
-        "eyeLookInRight": left,
-        "eyeLookInLeft": -left,
-        "eyeLookOutRight": -left,
-    }
+    shares = gaze.pitch / LID_PITCH, gaze.yaw / LID_YAW
     for i, name in enumerate(names):
-        if name in amounts:
-            out[i] = np.clip(amounts[name], 0.0, LID_LIMIT)
+        if name in LOOKS:
+            angle, sign = LOOKS[name]
+            out[i] = np.clip(sign * shares[angle], 0.0, LID_LIMIT)
     return out
 
 

@@ -8,11 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from gazenerf.head_model.lids import LID_LIMIT, LID_OPENING, LID_PITCH, LID_YAW
-
-LOOKS = {"Up": (0, 1.0), "Down": (0, -1.0), "OutLeft": (1, 1.0), "InRight": (1, 1.0), "InLeft": (1, -1.0),
-         "OutRight": (1, -1.0)}  # fmt: skip
-"""Ends of the names of the eyeLook* coefficients: which angle of the gaze drives them, and its sign."""
+from gazenerf.head_model.lids import LID_LIMIT, LID_OPENING, LID_PITCH, LID_YAW, LOOKS
 
 
 @dataclass(frozen=True)
@@ -59,7 +55,7 @@ class SkinPoints:
         self._template, self._identity, self._expression = double(template), double(identity), double(expression)
         self._mix, self._eyes, self._eyes_identity = double(mix), double(eyes), double(eyes_identity)
         self.radius, self._clearance, self._fitted_from = float(radius), float(clearance), fitted_from
-        self._looks = [_look(name) for name in names]
+        self._looks = [LOOKS.get(name) for name in names]
 
     def eye_centres(self, identity: torch.Tensor) -> torch.Tensor:
         """(2, 3) centres of rotation, the subject's left first, world units."""
@@ -94,13 +90,6 @@ class SkinPoints:
 def double(values: object) -> torch.Tensor:
     """A float64 tensor."""
     return torch.as_tensor(np.asarray(values), dtype=torch.float64)
-
-
-def _look(name: str) -> tuple[int, float] | None:
-    if not name.startswith("eyeLook"):
-        return None
-    end = name.removeprefix("eyeLook")
-    return LOOKS.get(end) or LOOKS.get(end.removesuffix("Left").removesuffix("Right"))
 
 
 def _fit_lids(points: torch.Tensor, old: torch.Tensor, old_radius: float, new: torch.Tensor, radius: float):

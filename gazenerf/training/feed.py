@@ -8,7 +8,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import numpy as np
 import torch
 
-from gazenerf.devices import is_out_of_memory
+from gazenerf.devices import is_out_of_memory, release_memory
 from gazenerf.training.batches import Batch, BatchMaker
 from gazenerf.training.config import TrainConfig
 from gazenerf.training.device_batches import DeviceBatchMaker, device_bytes
@@ -78,8 +78,7 @@ class Feed:
         self._maker = self._host
         self.held = "ahead"
         self._thread = ThreadPoolExecutor(1, "batches", self._runtime.join_thread)
-        if self._runtime.device.type == "cuda":
-            torch.cuda.empty_cache()
+        release_memory()
         self._say(f"the captures stay in main memory and batches are prepared ahead, because {reason}")
 
     def close(self) -> None:

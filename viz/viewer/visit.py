@@ -15,6 +15,7 @@ from gazenerf.geometry import Camera, Gaze
 from gazenerf.geometry.paths import EYE_MIDPOINT, GazeRange
 from gazenerf.head_model import ReferenceHead
 from gazenerf.heads import Head
+from gazenerf.heads.baked import BakedHead
 from gazenerf.heads.interface import HeadField
 from gazenerf.subjects import Subject
 from gazenerf.viz.pictures.panels import draw_panels
@@ -206,11 +207,17 @@ def eye_midpoint(subject: Subject) -> np.ndarray:
 
 def full_size(head: HeadField) -> int:
     """Shorter side of the full picture, pixels: what the field was made for."""
-    own = getattr(head, "head", head)  # a baked head keeps the one it was made of
-    return own.field.config.image_size if isinstance(own, Head) else USUAL_SIZE
+    own = _own(head)
+    return USUAL_SIZE if own is None else own.field.config.image_size
 
 
 def multiple_of(head: HeadField) -> int:
     """Sides that are multiples of so many pixels are drawn without resampling."""
-    own = getattr(head, "head", head)
-    return own.field.config.upsampling if isinstance(own, Head) else 1
+    own = _own(head)
+    return 1 if own is None else own.field.config.upsampling
+
+
+def _own(head: HeadField) -> Head | None:
+    """The head of a trained field: itself, or the one that a baked head was made of."""
+    own = head.head if isinstance(head, BakedHead) else head
+    return own if isinstance(own, Head) else None
