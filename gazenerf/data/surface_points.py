@@ -30,6 +30,9 @@ HIDDEN, HIDDEN_SHARE = 0.25, 0.05
 FRONT, FRONT_SHARE = (-1.3, 0.3), 3.0
 """Skin above this y and before this z, the face, is sampled so much more densely."""
 
+BY_TRIANGLE = 0.5
+"""Share of the points that are spread over triangles whatever their size: these are dense on ears, lips and lids."""
+
 MARGIN = 0.4
 """World units around a part's surface to which points anywhere reach."""
 
@@ -47,6 +50,7 @@ class SurfacePoints:
     Attributes:
         shape_code: (P, I + E); gaze: (P, 2) pitch up and yaw left, radians.
         surface, normals: (P, S, 3) points on it and unit outward normals.
+        places: (P, S, 3) the same points of the template, see `template_of`.
         points: (P, N, 3) about it; distance: (P, N) theirs, negative inside, world units.
     """
 
@@ -54,6 +58,7 @@ class SurfacePoints:
     gaze: torch.Tensor
     surface: torch.Tensor
     normals: torch.Tensor
+    places: torch.Tensor
     points: torch.Tensor
     distance: torch.Tensor
 
@@ -80,43 +85,56 @@ def draw_person(rng: np.random.Generator, model: ParametricHead, trained: tuple[
     return codes, gaze
 
 
-def points_of(mesh: HeadMesh, part: str, codes: Codes, gaze: Gaze, rng: np.random.Generator) -> SurfacePoints:
+def template_of(model: ParametricHead) -> HeadMesh:
+    """The head on which every person's points have their places: mean codes, looking straight ahead."""
+    return model.mesh(Codes(*(np.zeros(size, np.float32) for size in model.code_sizes)), Gaze())
+
+
+def points_of(
+    mesh: HeadMesh, template: HeadMesh, part: str, codes: Codes, gaze: Gaze, rng: np.random.Generator
+) -> SurfacePoints:
     """Points of one person about a part's surface.
 
     Args:
         mesh: The person at this gaze.
+        template: Of the same head model.
         part: `face`, the skin, or `eyes`, both eyeballs.
         codes, gaze: Of the person.
         rng: Draws the points.
     """
     faces = mesh.faces[(mesh.face_part == FACE) == (part == "face")]
-    surface, normals = _on_surface(mesh, faces, part, rng)
+    corners, weights = _on_surface(mesh, faces, part, rng)
+    surface, normals, places = (
+        (values[corners] * weights).sum(1) for values in (mesh.vertices, mesh.normals, template.vertices)
+    )
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     spread = np.where(np.arange(NEAR) % 2 == 0, *DEVIATIONS)[:, None]
     near = surface[rng.integers(len(surface), size=NEAR)] + spread * rng.standard_normal((NEAR, 3))
-    corners = mesh.vertices[faces].reshape(-1, 3)
-    anywhere = rng.uniform(corners.min(0) - MARGIN, corners.max(0) + MARGIN, (ANYWHERE, 3))
+    used = mesh.vertices[np.unique(faces)]
+    anywhere = rng.uniform(used.min(0) - MARGIN, used.max(0) + MARGIN, (ANYWHERE, 3))
     points = np.concatenate([near, anywhere]).astype(np.float32)
     label = np.array([gaze.pitch, gaze.yaw], np.float32)
-    arrays = codes.shape_code, label, surface, normals, points, signed_distance(mesh.vertices, faces, points)
+    distance = signed_distance(mesh.vertices, faces, points)
+    arrays = codes.shape_code, label, surface, normals, places, points, distance
     return SurfacePoints(*(torch.from_numpy(np.asarray(value, np.float32))[None] for value in arrays))
 
 
 def _on_surface(
     mesh: HeadMesh, faces: np.ndarray, part: str, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(S, 3) points on triangles and (S, 3) unit normals there."""
+    """(S, 3) corners of triangles, indices of vertices, and (S, 3, 1) weights of the points drawn on them."""
     a, b, c = (mesh.vertices[faces[:, i]].astype(np.float64) for i in range(3))
-    share = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    often = np.ones(len(faces))
     if part == "face":
-        share = share * np.where((a[:, 1] > FRONT[0]) & (a[:, 2] > FRONT[1]), FRONT_SHARE, 1.0)
+        area = area * np.where((a[:, 1] > FRONT[0]) & (a[:, 2] > FRONT[1]), FRONT_SHARE, 1.0)
         if mesh.occlusion is not None:
-            share = share * np.where(mesh.occlusion[faces].mean(1) < HIDDEN, HIDDEN_SHARE, 1.0)
-    chosen = rng.choice(len(faces), SURFACE, p=share / share.sum())
+            often = np.where(mesh.occlusion[faces].mean(1) < HIDDEN, HIDDEN_SHARE, 1.0)
+    by_area, by_triangle = area * often, often
+    share = (1.0 - BY_TRIANGLE) * by_area / by_area.sum() + BY_TRIANGLE * by_triangle / by_triangle.sum()
+    chosen = rng.choice(len(faces), SURFACE, p=share)
     root, other = np.sqrt(rng.random(SURFACE)), rng.random(SURFACE)
-    weights = np.stack([1.0 - root, root * (1.0 - other), root * other], axis=1)[..., None]
-    corners = faces[chosen]
-    normals = (mesh.normals[corners] * weights).sum(1)
-    return (mesh.vertices[corners] * weights).sum(1), normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    return faces[chosen], np.stack([1.0 - root, root * (1.0 - other), root * other], axis=1)[..., None]
 
 
 def signed_distance(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -> np.ndarray:

@@ -39,7 +39,8 @@ class FieldConfig:
         initialisation: `he` or `default` (the framework's).
         geometry: Where densities come from: `density`, a layer of each stream as published, or `distance`, a network
             beside each stream that gives the signed distance from its surface (see `gazenerf.field.distance`).
-        distance_width: Width of that network; distance_frequencies: octaves of its encoding.
+        distance_width: Width of that network; distance_frequencies: octaves of its encoding; distance_template:
+            width of the network that moves points to their places on the mean head first.
         surface_spread: Scale, world units, over which its density rises at the surface.
         metres_per_unit: Size of a world unit.
         sampler: How pictures are sampled: `slabs` (published) or `guided` (found surface, then a shell).
@@ -74,8 +75,9 @@ class FieldConfig:
     density_activation: str = "relu"
     initialisation: str = "he"
     geometry: str = "density"
-    distance_width: int = 160
-    distance_frequencies: int = 6
+    distance_width: int = 128
+    distance_frequencies: int = 9
+    distance_template: int = 64
     surface_spread: float = 0.01
     metres_per_unit: float = 0.1
     sampler: str = "slabs"
@@ -103,6 +105,7 @@ class FieldConfig:
         need(0 < self.hidden <= MAX_CHANNELS and self.hidden % 2 == 0, "hidden must be even and in range")
         need(0 < self.skip_after < self.layers <= 64, "skip_after must lie inside the layers")
         need(0 < self.distance_width <= MAX_CHANNELS and 0 < self.distance_frequencies <= 32, "distance out of range")
+        need(0 < self.distance_template <= MAX_CHANNELS, "distance_template out of range")
         need(self.geometry != "distance" or self.streams == "two", "distances need two streams")
         need(0 < self.frequencies <= 32 and 1 < self.samples <= MAX_SAMPLES, "frequencies or samples out of range")
         need(1 < self.shell_samples <= MAX_SAMPLES and self.shell > 0, "shell out of range")

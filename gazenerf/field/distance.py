@@ -2,10 +2,14 @@
 
 A density that is learned through pictures is free to be noise around the right surface. A distance is
 not: it grows by one a unit everywhere, so the surface it crosses is smooth and its gradient is the normal.
+
+Points are first moved to their places on one head, the template, where ears, lips and lids lie in the
+same place whoever it is, as deformed and deep implicit templates do (Deng et al. 2021; Zheng et al. 2021).
 """
 
 from __future__ import annotations
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -19,11 +23,20 @@ from gazenerf.field.encoding import positional_encoding
 LAYERS, SKIP_AFTER = 6, 3
 """Hidden layers, and after how many of them points and codes enter again."""
 
-OCTAVE_GAIN = 1.5
-"""Amplitude of the first octave of the encoding; each octave has half of the one before, for a smooth distance."""
+OCTAVE_GAIN, OCTAVE_FALL = 1.5, 1.3
+"""Amplitude of the first octave of a distance's encoding, and by how much each has less than the one before."""
 
 CODE_GAINS = (0.5, 1.0, 1.5)
 """Factors on identity, expression and gaze label as they enter."""
+
+MOVING_LAYERS, MOVING_FREQUENCIES, MOVING_FALL = 3, 5, 2.0
+"""Hidden layers that move points to the template, octaves of their encoding, and by how much each falls."""
+
+MOVING_PASSES = 2
+"""How often a point's place on the template is corrected: the move is known where it ends, not where it begins."""
+
+GAZE_CODES, GAZE_GAIN, GAZE_WIDTH = 8, 3.0, 32
+"""Values that a gaze becomes, beside which a displacement is linear, and how: gain of the label, width."""
 
 
 def laplace_density(distance: torch.Tensor, spread: float) -> torch.Tensor:
@@ -41,18 +54,69 @@ def laplace_density(distance: torch.Tensor, spread: float) -> torch.Tensor:
     return torch.where(inside <= 0.0, outer, 1.0 - 0.5 * torch.exp(-inside.clamp(min=0.0))) / spread
 
 
+def scaled_encoding(points: torch.Tensor, frequencies: int, fall: float) -> torch.Tensor:
+    """`positional_encoding` of points (..., 3) whose octaves have amplitudes that fall by a factor each."""
+    octaves = torch.arange(frequencies, device=points.device).repeat_interleave(6)
+    gains = torch.cat([points.new_ones(3), OCTAVE_GAIN * fall**-octaves])
+    return positional_encoding(points, frequencies) * gains
+
+
+class TemplateMove(nn.Module):
+    """Where points of a person's head lie on the template, the mean head looking straight ahead.
+
+    A displacement is linear in codes, as the head model's are: a point's features, which an MLP gives at its
+    place on the template, times a matrix that the codes give. Gaze enters by values that are learned of it. The
+    place is found by a few passes from the point itself.
+
+    Args:
+        config: Sizes.
+        sees_gaze: Whether the part moves with the gaze.
+    """
+
+    def __init__(self, config: FieldConfig, sees_gaze: bool) -> None:
+        super().__init__()
+        width = config.distance_template
+        sizes = [3 + 6 * MOVING_FREQUENCIES, *[width] * MOVING_LAYERS]
+        self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in itertools.pairwise(sizes))
+        learned = nn.Linear(2, GAZE_WIDTH), nn.SiLU(), nn.Linear(GAZE_WIDTH, GAZE_CODES)
+        self.gaze = nn.Sequential(*learned) if sees_gaze else None
+        codes = config.identity + config.expression + (GAZE_CODES if sees_gaze else 0)
+        self.matrix = nn.Linear(codes, 3 * width)
+        if not self.matrix.weight.is_meta:
+            nn.init.normal_(self.matrix.weight, std=0.01 / width**0.5)
+            nn.init.zeros_(self.matrix.bias)
+
+    def condition(self, codes: torch.Tensor, gaze_label: torch.Tensor) -> torch.Tensor:
+        """(B, 3, W) matrices of shape codes (B, .) and gaze labels (B, 2)."""
+        if self.gaze is not None:
+            codes = torch.cat([codes, self.gaze(GAZE_GAIN * gaze_label)], dim=-1)
+        return self.matrix(codes).reshape(len(codes), 3, -1)
+
+    def forward(self, points: torch.Tensor, matrix: torch.Tensor) -> torch.Tensor:
+        """Places (B, N, 3) on the template of points (B, N, 3), world units; matrices of `condition`."""
+        places = points
+        for _ in range(MOVING_PASSES):
+            hidden = scaled_encoding(places, MOVING_FREQUENCIES, MOVING_FALL)
+            for layer in self.layers:
+                hidden = F.silu(layer(hidden))
+            places = points + hidden @ matrix.mT
+        return places
+
+
 class DistanceCondition(NamedTuple):
-    """Codes and gaze of B images, folded into the biases (B, W) of the layers that they enter."""
+    """Codes and gaze of B images: biases (B, W) of the layers that they enter, and of the move (B, 3, W')."""
 
     first: torch.Tensor
     skip: torch.Tensor
+    move: torch.Tensor
 
 
 class DistanceNetwork(nn.Module):
     """Signed distance from one part's surface, for any shape code and gaze.
 
-    It is the distance from the nearest of a few balls plus what an MLP adds. The balls are set before
-    training, from the part's mean surface, and travel with the weights.
+    Points are moved to the template; there it is the distance from the nearest of a few balls plus what an MLP
+    adds, which knows the codes too, since a move does not keep distances. The balls are set before training, from
+    the part's surface on the template, and travel with the weights.
 
     Args:
         config: Sizes.
@@ -70,6 +134,7 @@ class DistanceNetwork(nn.Module):
         self.layers = nn.ModuleList(nn.Linear(size, width) for size in inputs)
         self.first_codes, self.skip_codes = nn.Linear(codes, width), nn.Linear(codes, width)
         self.last = nn.Linear(width, 1)
+        self.move = TemplateMove(config, self.sees_gaze)
         self.register_buffer("balls", torch.tensor([[0.0, 0.0, 0.0, 1.0]]).repeat(2 if name == "eyes" else 1, 1))
 
     @torch.no_grad()
@@ -85,7 +150,13 @@ class DistanceNetwork(nn.Module):
         parts = [identity * shape_code[:, :split], expression * shape_code[:, split:]]
         with torch.autocast(shape_code.device.type, enabled=False):
             codes = torch.cat([*parts, gaze * gaze_label] if self.sees_gaze else parts, dim=-1).float()
-            return DistanceCondition(self.first_codes(codes), self.skip_codes(codes))
+            move = self.move.condition(torch.cat(parts, dim=-1).float(), gaze_label.float())
+            return DistanceCondition(self.first_codes(codes), self.skip_codes(codes), move)
+
+    def places(self, points: torch.Tensor, condition: DistanceCondition) -> torch.Tensor:
+        """Where points (B, N, 3) lie on the template, world units."""
+        with torch.autocast(points.device.type, enabled=False):
+            return self.move(points.float(), condition.move)
 
     def forward(self, points: torch.Tensor, condition: DistanceCondition) -> torch.Tensor:
         """Distances (B, ...) at points (B, ..., 3), world units, negative inside; float32 whatever autocast says.
@@ -93,23 +164,22 @@ class DistanceNetwork(nn.Module):
         Half a unit in float16 is exact to half a millimetre only, which would be the grain of the surface.
         """
         batch, rest = points.shape[0], points.shape[1:-1]
-        flat = points.reshape(batch, -1, 3).float()
+        places = self.places(points.reshape(batch, -1, 3), condition)
         with torch.autocast(points.device.type, enabled=False):
-            encoded = positional_encoding(flat, self.config.distance_frequencies) * self._gains(flat)
-            hidden = encoded
-            for i, layer in enumerate(self.layers):
-                if i == SKIP_AFTER:
-                    hidden = torch.cat([hidden, encoded], dim=-1)
-                hidden = layer(hidden)
-                if i in (0, SKIP_AFTER):
-                    hidden = hidden + (condition.first if i == 0 else condition.skip)[:, None]
-                hidden = F.silu(hidden)
-            return (self._ball_distance(flat) + self.last(hidden)[..., 0]).reshape(batch, *rest)
+            return self.at(places, condition).reshape(batch, *rest)
 
-    def _gains(self, like: torch.Tensor) -> torch.Tensor:
-        """(3 + 6 F,) factors on what the encoding gives."""
-        octaves = torch.arange(self.config.distance_frequencies, device=like.device).repeat_interleave(6)
-        return torch.cat([like.new_ones(3), OCTAVE_GAIN * 2.0**-octaves])
+    def at(self, places: torch.Tensor, condition: DistanceCondition) -> torch.Tensor:
+        """Distances (B, N) of points whose places on the template (B, N, 3) are known, float32, world units."""
+        encoded = scaled_encoding(places, self.config.distance_frequencies, OCTAVE_FALL)
+        hidden = encoded
+        for i, layer in enumerate(self.layers):
+            if i == SKIP_AFTER:
+                hidden = torch.cat([hidden, encoded], dim=-1)
+            hidden = layer(hidden)
+            if i in (0, SKIP_AFTER):
+                hidden = hidden + (condition.first if i == 0 else condition.skip)[:, None]
+            hidden = F.silu(hidden)
+        return self._ball_distance(places) + self.last(hidden)[..., 0]
 
     def _ball_distance(self, points: torch.Tensor) -> torch.Tensor:
         """(B, N) distance of points (B, N, 3) from the nearest ball."""

@@ -2,6 +2,7 @@
 
 Losses follow Gropp et al. 2020 (implicit geometric regularisation) with known distances beside them:
 the surface is where the distance is 0, its gradient there is the normal and has length 1 elsewhere.
+Where a point lies on the template is known of the head model's people, and learned first.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 
-from gazenerf.data.surface_points import SurfacePoints, draw_person, points_of
+from gazenerf.data.surface_points import SurfacePoints, draw_person, points_of, template_of
 from gazenerf.errors import UserError
 from gazenerf.field.distance import DistanceNetwork
 from gazenerf.field.model import TwoStreamField
@@ -36,8 +37,11 @@ PARTS = ("face", "eyes")
 PEOPLE, ON, ABOUT = 8, {"face": 160, "eyes": 48}, {"face": 160, "eyes": 48}
 """Of a step: people, and points of each on a surface and about it."""
 
-SURFACE, DISTANCE, NORMAL, EIKONAL = 10.0, 0.2, 1.0, 0.1
+SURFACE, DISTANCE, NORMAL, EIKONAL, PLACE = 10.0, 0.2, 1.0, 0.1, 5.0
 """Weights of the terms."""
+
+PLACES_FIRST, PLACES = 0.4, 4
+"""Share of the steps that learn nothing but where points lie on the template, from so many times the points."""
 
 NEAR = 0.02
 """World units: a distance is learned to a share of itself and this, so that far points do not outweigh near ones."""
@@ -121,12 +125,14 @@ def draw_points(
             f"{config.expression}); choose geometry density"
         )
 
+    template = template_of(model)
+
     def person(number: int) -> list[SurfacePoints]:
         rng = np.random.default_rng((seed, number))
         codes, gaze = draw_person(rng, model, options.trained)
         mesh = model.mesh(codes, gaze)
         of_eyes = mesh if config.sees_gaze("eyes") else model.mesh(codes, Gaze())
-        return [points_of(mesh, "face", codes, gaze, rng), points_of(of_eyes, "eyes", codes, gaze, rng)]
+        return [points_of(one, template, part, codes, gaze, rng) for one, part in ((mesh, "face"), (of_eyes, "eyes"))]
 
     with pool() as executor:
         people = list(
@@ -137,8 +143,8 @@ def draw_points(
 
 def first_balls(points: dict[str, SurfacePoints]) -> dict[str, np.ndarray]:
     """The balls that distances begin at, by part: (1, 4) of the face and (2, 4) of the eyes."""
-    eyes = points["eyes"].surface.reshape(-1, 3)
-    sides = [points["face"].surface.reshape(-1, 3)], [eyes[eyes[:, 0] > 0], eyes[eyes[:, 0] <= 0]]
+    eyes = points["eyes"].places.reshape(-1, 3)
+    sides = [points["face"].places.reshape(-1, 3)], [eyes[eyes[:, 0] > 0], eyes[eyes[:, 0] <= 0]]
 
     def ball(surface: torch.Tensor) -> np.ndarray:
         centre = surface.mean(0)
@@ -255,13 +261,19 @@ class _Learning:
             return torch.randint(most, (count,), generator=generator).to(device)
 
         people = drawn(len(all_points), PEOPLE)
+        network = self._networks[part]
+        condition = network.condition(all_points.shape_code[people], self._field.label(all_points.gaze[people]))
+        if self.step < PLACES_FIRST * self._options.steps:
+            on = drawn(all_points.surface.shape[1], PLACES * ON[part])
+            return PLACE * _apart(
+                network.places(all_points.surface[people][:, on], condition), all_points.places[people][:, on]
+            )
         on, about = drawn(all_points.surface.shape[1], ON[part]), drawn(all_points.points.shape[1], ABOUT[part])
         surface, normals = all_points.surface[people][:, on], all_points.normals[people][:, on]
         points, known = all_points.points[people][:, about], all_points.distance[people][:, about]
-        network = self._networks[part]
-        label = self._field.label(all_points.gaze[people])
         everywhere = torch.cat([surface, points], dim=1).requires_grad_()
-        found = network(everywhere, network.condition(all_points.shape_code[people], label))
+        places = network.places(everywhere, condition)
+        found = network.at(places, condition)
         gradient = torch.autograd.grad(found.sum(), everywhere, create_graph=True)[0]
         count = surface.shape[1]
         off = (found[:, count:] - known).abs() / (NEAR + known.abs())
@@ -270,6 +282,7 @@ class _Learning:
             + DISTANCE * off.clamp(max=5.0).mean()
             + NORMAL * (gradient[:, :count] - normals).norm(dim=-1).mean()
             + EIKONAL * (gradient[:, count:].norm(dim=-1) - 1.0).abs().mean()
+            + PLACE * _apart(places[:, :count], all_points.places[people][:, on])
         )
 
     def save(self, out: Path) -> None:
@@ -298,6 +311,11 @@ class _Learning:
         self.step = int(state["step"])
 
 
+def _apart(found: torch.Tensor, known: torch.Tensor) -> torch.Tensor:
+    """Mean distance of points (..., 3)."""
+    return (found - known).norm(dim=-1).mean()
+
+
 def _rate(step: int, steps: int) -> float:
     """Share of the learning rate at a step: linear warm-up, then a cosine."""
     fallen = 0.5 * (1.0 + math.cos(math.pi * step / max(1, steps)))
@@ -308,23 +326,28 @@ def measure_distances(field: TwoStreamField, part: str, points: SurfacePoints) -
     """How far a stream's surface is from people's, and its normals from theirs, at the points on their surfaces.
 
     Returns:
-        `median_mm`, `p90_mm`: distance over its gradient's length; `normals_deg`, `normals_p90_deg`: angles.
+        `median_mm`, `p90_mm`: distance over its gradient's length; `normals_deg`, `normals_p90_deg`: angles;
+        `places_mm`: median distance of the points' places on the template from where they are.
     """
     network = distance_network(field, part)
-    apart, angles = [], []
+    apart, angles, misplaced = [], [], []
     for i in range(len(points)):
         surface = points.surface[i : i + 1].clone().requires_grad_()
         condition = network.condition(points.shape_code[i : i + 1], field.label(points.gaze[i : i + 1]))
-        found = network(surface, condition)
+        places = network.places(surface, condition)
+        found = network.at(places, condition)
         gradient = torch.autograd.grad(found.sum(), surface)[0]
+        misplaced.append((places.detach()[0] - points.places[i]).norm(dim=-1))
         cosine = (F.normalize(gradient, dim=-1) * points.normals[i]).sum(-1).clamp(-1.0, 1.0)
         apart.append((found.abs() / gradient.norm(dim=-1).clamp(min=1e-6)).detach().flatten())
         angles.append(cosine.arccos().rad2deg().flatten())
-    millimetres = 1e3 * field.config.metres_per_unit * torch.cat(apart)
+    unit = 1e3 * field.config.metres_per_unit
+    millimetres = unit * torch.cat(apart)
     degrees = torch.cat(angles)
     return {
         "median_mm": float(millimetres.median()),
         "p90_mm": float(millimetres.quantile(0.9)),
         "normals_deg": float(degrees.median()),
         "normals_p90_deg": float(degrees.quantile(0.9)),
+        "places_mm": unit * float(torch.cat(misplaced).median()),
     }

@@ -20,7 +20,14 @@ _FREE = {
 }
 """Settings that mean nothing to weights: where they are sampled, what they saw, what they began as."""
 
-_GEOMETRY = {"geometry", "distance_width", "distance_frequencies", "surface_spread", "density_activation"}
+_GEOMETRY = {
+    "geometry",
+    "distance_width",
+    "distance_frequencies",
+    "distance_template",
+    "surface_spread",
+    "density_activation",
+}
 """Settings that may differ where a field of densities is to go on with its features on a surface of distances."""
 
 

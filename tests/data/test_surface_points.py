@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 import torch
 
-from gazenerf.data.surface_points import NEAR, SURFACE, SurfacePoints, draw_person, points_of, signed_distance
+from gazenerf.data.surface_points import (
+    NEAR,
+    SURFACE,
+    SurfacePoints,
+    draw_person,
+    points_of,
+    signed_distance,
+    template_of,
+)
 from gazenerf.geometry import Gaze
 from gazenerf.head_model import load_head_model
 from gazenerf.head_model.interface import FACE, HeadMesh
@@ -17,7 +25,7 @@ def person() -> tuple[HeadMesh, dict[str, SurfacePoints]]:
     rng, model = np.random.default_rng(4), load_head_model()
     codes, gaze = draw_person(rng, model, (25.0, 35.0))
     mesh = model.mesh(codes, gaze)
-    found = {part: points_of(mesh, part, codes, gaze, rng) for part in ("face", "eyes")}
+    found = {part: points_of(mesh, template_of(model), part, codes, gaze, rng) for part in ("face", "eyes")}
     for points in found.values():
         assert points.shape_code[0].numpy() == pytest.approx(codes.shape_code)
         assert points.gaze[0].tolist() == pytest.approx([gaze.pitch, gaze.yaw])
@@ -52,6 +60,6 @@ def test_people_are_joined_and_look_within_the_range() -> None:
     drawn = [draw_person(rng, model, (10.0, 20.0))[1] for _ in range(40)]
     pitch, yaw = np.abs([gaze.degrees for gaze in drawn]).max(0)
     assert 7.0 < pitch <= 10.0 and 14.0 < yaw <= 20.0 and Gaze() in drawn
-    one = SurfacePoints(*(torch.rand(1, *shape) for shape in ((3,), (2,), (5, 3), (5, 3), (6, 3), (6,))))
+    one = SurfacePoints(*(torch.rand(1, *shape) for shape in ((3,), (2,), (5, 3), (5, 3), (5, 3), (6, 3), (6,))))
     both = SurfacePoints.joined([one, one])
     assert len(both) == 2 and both.points.shape == (2, 6, 3) and torch.equal(both.gaze[0], both.gaze[1])

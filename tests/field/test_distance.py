@@ -17,7 +17,7 @@ from tests.field_doubles import tiny_config
 
 
 def distance_config(**changes: object):
-    return tiny_config(geometry="distance", distance_width=24, distance_frequencies=4, **changes)
+    return tiny_config(geometry="distance", distance_width=24, distance_frequencies=4, distance_template=12, **changes)
 
 
 def test_density_is_the_laplace_distribution_of_minus_the_distance() -> None:
@@ -31,11 +31,27 @@ def test_density_is_the_laplace_distribution_of_minus_the_distance() -> None:
 def test_a_fresh_network_is_the_distance_from_the_nearest_ball() -> None:
     config = distance_config()
     network = DistanceNetwork(config, "eyes")
-    torch.nn.init.zeros_(network.last.weight)
+    for weights in (network.last.weight, network.move.matrix.weight):
+        torch.nn.init.zeros_(weights)
     network.set_balls(np.array([[0.3, 0.0, 0.8, 0.12], [-0.3, 0.0, 0.8, 0.12]]))
     points = torch.tensor([[[0.3, 0.0, 0.8], [0.3, 0.0, 1.0], [-0.5, 0.0, 0.8]]])
     condition = network.condition(torch.randn(1, config.identity + config.expression), torch.zeros(1, 2))
     assert network(points, condition)[0].tolist() == pytest.approx([-0.12, 0.08, 0.08], abs=1e-4)
+
+
+@pytest.mark.parametrize("name", ["face", "eyes"])
+def test_points_move_in_proportion_to_codes_and_with_the_gaze_where_it_moves_the_part(name: str) -> None:
+    torch.manual_seed(0)
+    config = distance_config(eye_motion="rigid")
+    move = DistanceNetwork(config, name).move
+    codes, gaze = torch.randn(3, config.identity + config.expression), torch.zeros(3, 2)
+    codes[0], codes[2] = 0.0, 3.0 * codes[1]
+    mean, one, three = move.condition(codes, gaze)
+    torch.testing.assert_close(three - mean, 3.0 * (one - mean), atol=1e-5, rtol=1e-4)
+    points = torch.rand(1, 5, 3)
+    torch.testing.assert_close(move(points, torch.zeros(1, 3, config.distance_template)), points)
+    elsewhere = move.condition(codes[:1], gaze[:1] + 0.3)[0]
+    assert torch.equal(elsewhere, mean) == (name == "eyes")
 
 
 @pytest.mark.parametrize("eye_motion", ["feature_rotation", "rigid"])

@@ -25,7 +25,8 @@ def head() -> Head:
     for name, balls in (("face", np.array([[0.0, 0.0, 0.0, RADIUS]])), ("eyes", EYES)):
         network = field.stream(name).distance
         assert network is not None
-        torch.nn.init.zeros_(network.last.weight)
+        for weights in (network.last.weight, network.move.matrix.weight):
+            torch.nn.init.zeros_(weights)
         network.set_balls(balls)
     return Head(field.requires_grad_(False), make_subject(config))
 

@@ -27,7 +27,7 @@ from gazenerf.training.runtime import Runtime
 SIZES = load_head_model().code_sizes
 FIELD = replace(
     FIELDS["tiny"], identity=SIZES[0], expression=SIZES[1], texture=SIZES[2], illumination=SIZES[3],
-    geometry="distance", distance_width=48, distance_frequencies=4,
+    geometry="distance", distance_width=48, distance_frequencies=4, distance_template=32,
 )  # fmt: skip
 OPTIONS = DistanceOptions(steps=120, people=2, learning_rate=3e-3, trained=(20.0, 30.0))
 
@@ -51,6 +51,7 @@ def test_surfaces_come_nearer_to_peoples(tmp_path: Path) -> None:
     for part, most in (("face", 7.0), ("eyes", 0.8)):
         assert after[part]["median_mm"] < min(most, 0.6 * before[part]["median_mm"]), part
         assert after[part]["normals_deg"] < before[part]["normals_deg"], part
+    assert after["face"]["places_mm"] < 0.9 * before["face"]["places_mm"]
     assert found["eyes"]["median_mm"] < 2.5 and found["face"]["normals_deg"] < 40.0
     rows = [json.loads(line) for line in (tmp_path / "distances.jsonl").read_text().splitlines()]
     assert [row["step"] for row in rows] == [40, 80, 120] and rows[-1]["loss"] < rows[0]["loss"]
