@@ -13,8 +13,10 @@ TORCH_SOURCE := $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX))
 demo: setup
 	$(BIN)/gazenerf demo --out $(OUT) --overwrite
 
+# test files run side by side, one thread each; one after the other: make test WORKERS=0
+WORKERS ?= logical
 test: .venv/.dev .venv/.libraries
-	$(BIN)/python -m pytest --cov --cov-report=term $(PYTEST)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --maxprocesses 4 --dist loadfile --cov --cov-report=term $(PYTEST)
 
 lint: .venv/.dev
 	$(BIN)/ruff check .
