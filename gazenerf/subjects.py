@@ -13,6 +13,7 @@ from safetensors.numpy import save_file
 from gazenerf.errors import UserError
 from gazenerf.files import check_name, parse_json, whole_file
 from gazenerf.geometry import Camera, Gaze
+from gazenerf.names import did_you_mean
 from gazenerf.tensor_files import TensorFileKind, open_tensors
 
 FORMAT = "gazenerf-subject-1"
@@ -152,5 +153,6 @@ def load_subject(name_or_path: str | Path) -> Subject:
     check_name(path)
     if path.suffix != ".safetensors" and not path.exists():
         names = ", ".join(bundled) or "none"
-        raise UserError(f"unknown subject {str(name_or_path)!r}; bundled: {names}; or give a .safetensors file")
+        meant = did_you_mean(str(name_or_path), bundled)
+        raise UserError(f"unknown subject {str(name_or_path)!r}{meant}; bundled: {names}; or give a .safetensors file")
     return Subject.load(path)

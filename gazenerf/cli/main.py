@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import os
+import re
 import sys
 import warnings
 from collections.abc import Iterable, Sequence
@@ -14,6 +15,7 @@ from typing import NoReturn
 from gazenerf import __version__
 from gazenerf.cli.parser import add_options, parsed
 from gazenerf.errors import UserError
+from gazenerf.names import did_you_mean
 
 COMMANDS = {
     "demo": "orbit, gaze grid, meshes and check of the bundled subject in one folder",
@@ -38,11 +40,24 @@ BROKEN_PIPE = 141
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser whose errors are one line."""
+    """An argument parser whose errors are one line, with the word that was probably meant."""
 
     def error(self, message: str) -> NoReturn:
         """Exit with code 2."""
+        if mistyped := _MISTYPED_CHOICE.search(message):
+            message += did_you_mean(mistyped["word"], re.findall(r"'([^']+)'", mistyped["known"]))
         self.exit(2, f"gazenerf: error: {message} (see `{self.prog} --help`)\n")
+
+    def parse_known_args(self, args=None, namespace=None):  # pyright: ignore[reportIncompatibleMethodOverride]
+        """As its base class does; flags that a command does not know are that command's error, not the program's."""
+        found, left = super().parse_known_args(args, namespace)
+        if flags := [word for word in left if word.startswith("-")]:
+            known = [flag for action in self._actions for flag in action.option_strings]
+            self.error(f"unrecognized arguments: {' '.join(left)}{did_you_mean(flags[0].partition('=')[0], known)}")
+        return found, left
+
+
+_MISTYPED_CHOICE = re.compile(r"invalid choice: '(?P<word>[^']*)' \(choose from (?P<known>.*)\)$")
 
 
 def load_command(name: str) -> ModuleType:

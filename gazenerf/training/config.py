@@ -6,6 +6,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
+from gazenerf.names import did_you_mean
 from gazenerf.training.optimizers import OPTIMIZERS
 
 
@@ -107,7 +108,7 @@ class TrainConfig:
         """
         known = {item.name for item in dataclasses.fields(cls)}
         if unknown := sorted(set(data) - known):
-            raise ValueError(f"unknown training settings: {', '.join(unknown)}")
+            raise ValueError(f"unknown training settings: {', '.join(unknown)}{did_you_mean(unknown[0], known)}")
         values = dict(data)
         if values.get("optimizer", "adam") not in OPTIMIZERS:
             raise ValueError(f"optimizer must be one of {', '.join(OPTIMIZERS)}")

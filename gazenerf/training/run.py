@@ -13,6 +13,7 @@ from gazenerf.data.captures import Capture
 from gazenerf.errors import UserError
 from gazenerf.field.config import PRESETS as FIELD_PRESETS
 from gazenerf.field.config import FieldConfig
+from gazenerf.names import did_you_mean
 from gazenerf.options import option
 from gazenerf.progress import Progress, silent
 from gazenerf.training.config import PRESETS, TrainConfig
@@ -149,7 +150,8 @@ def chosen_config(options: TrainOptions) -> TrainConfig:
         UserError: unknown preset or setting.
     """
     if options.preset not in PRESETS:
-        raise UserError(f"unknown preset {options.preset!r}; there are {', '.join(PRESETS)}")
+        meant = did_you_mean(options.preset, PRESETS)
+        raise UserError(f"unknown preset {options.preset!r}{meant}; there are {', '.join(PRESETS)}")
     settings = PRESETS[options.preset].to_dict() | dict(_setting(text) for text in options.settings)
     try:
         return TrainConfig.from_dict(settings)

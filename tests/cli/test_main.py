@@ -84,6 +84,9 @@ def test_commands_that_render_share_their_source(name):
     [
         ([], "COMMAND"),
         (["wander"], "invalid choice: 'wander'"),
+        (["orbitt"], "(did you mean orbit?) (see `gazenerf --help`)"),
+        (["mesh", "--out", "x", "--surface", "poison"], "(did you mean poisson?) (see `gazenerf mesh --help`)"),
+        (["orbit", "--sbject=noa", "--out", "x.mp4"], "--sbject=noa (did you mean --subject?) (see `gazenerf orbit"),
         (["orbit"], "--out"),
         (["orbit", "--out", "x.mp4", "--gaze", "ten", "0"], "--gaze"),
         (["orbit", "--out", "x.mp4", "--smell"], "--smell"),
@@ -103,7 +106,7 @@ def test_mistyped_words_are_one_line_and_exit_2(words, message, capsys):
 
 def test_an_unknown_subject_is_one_line_and_exit_2(tmp_path, capsys):
     out = tmp_path / "o.mp4"
-    assert main(["orbit", "--subject", "nobody", "--checkpoint", str(tmp_path / "none"), "--out", str(out)]) == 2
+    assert main(["orbit", "--subject", "nao", "--checkpoint", str(tmp_path / "none"), "--out", str(out)]) == 2
     line = capsys.readouterr().err
     assert line.startswith("gazenerf: error: ") and line.count("\n") == 1
     assert not out.exists()
