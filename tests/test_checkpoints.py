@@ -3,7 +3,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import re
 import sys
 import types
 from collections.abc import Callable
@@ -15,6 +14,7 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
+from benchmarks.fuzz import published_weights
 from gazenerf.checkpoints import (
     BUNDLED,
     FORMAT,
@@ -155,33 +155,12 @@ def test_official_checkpoint_is_the_published_network(official: Path) -> None:
         assert np.abs(image.numpy() - data["out.image"]).max() < 1e-4
 
 
-_PUBLISHED = (
-    (r"streams\.face\.", "fg_CD_predictor_face."),
-    (r"streams\.eyes\.", "fg_CD_predictor_eyes."),
-    (r"\.trunk\.(\d+)\.", r".FeaExt_module_\1."),
-    (r"\.density\.", ".density_module."),
-    (r"\.feature_(\d)\.", r".RGB_layer_\1."),
-    (r"renderer\.background_features", "neural_render.bg_featmap"),
-    (r"renderer\.upsample\.(\d+)\.widen_0", r"neural_render.feat_upsample_list.\1.layer_1"),
-    (r"renderer\.upsample\.(\d+)\.widen_1", r"neural_render.feat_upsample_list.\1.layer_2"),
-    (r"renderer\.to_rgb\.", "neural_render.feat_2_rgb_list."),
-    (r"renderer\.narrow\.", "neural_render.feat_layers."),
-)
-"""Our names to published ones."""
-
-
 @pytest.fixture(scope="module")
 def published() -> dict[str, Any]:
     """A small network under published names, with what lies beside it."""
     torch.manual_seed(1)
     field = TwoStreamField(FieldConfig(image_size=32, feature_size=8, feature_channels=24, hidden=16))
-    net = {}
-    for name, value in field.state_dict().items():
-        for ours, theirs in _PUBLISHED:
-            name = re.sub(ours, theirs, name)
-        flat = name.startswith("fg_CD") and value.dim() == 2
-        net[name] = value[..., None, None].clone() if flat else value.clone()
-    return {"net": net, "para": {"num_sample_coarse": 16}, "iden_offset": torch.zeros(3, 100)}
+    return {"net": published_weights(field), "para": {"num_sample_coarse": 16}, "iden_offset": torch.zeros(3, 100)}
 
 
 def resave(official: Path, path: Path, change: Callable[[dict[str, Any]], Any]) -> Path:

@@ -7,6 +7,9 @@ metres. The first index of an array is x, in every format.
 from __future__ import annotations
 
 import gzip
+import io
+import math
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,6 +17,9 @@ import numpy as np
 
 from gazenerf.errors import UserError
 from gazenerf.export.surface.densities import DensityGrid
+
+MOST_POINTS = 2**28
+"""Of a grid that is read."""
 
 
 def write_volume(grid: DensityGrid, metres_per_unit: float, kind: str, path: Path) -> None:
@@ -80,11 +86,14 @@ def read_nrrd(path: str | Path) -> DensityGrid:
             raise ValueError
         sizes = [int(size) for size in fields["sizes"].split()]
         directions = np.array([_numbers(word) for word in fields["space directions"].split()])
-        values = np.frombuffer(gzip.decompress(packed), "<f4").reshape(sizes, order="F")
+        if min(sizes) < 1 or (count := math.prod(sizes)) > MOST_POINTS:
+            raise ValueError
+        with gzip.GzipFile(fileobj=io.BytesIO(packed)) as file:
+            values = np.frombuffer(file.read(4 * count + 1), "<f4").reshape(sizes, order="F")
         if not np.allclose(directions, directions[0, 0] * np.eye(3)):
             raise ValueError
         return DensityGrid(values, np.array(_numbers(fields["space origin"])), float(directions[0, 0]), values.size)
-    except (ValueError, KeyError, EOFError, OSError) as error:
+    except (ValueError, KeyError, IndexError, EOFError, OSError, zlib.error) as error:
         raise UserError(f"{path} is not a volume that `gazenerf mesh --volume nrrd` wrote") from error
 
 

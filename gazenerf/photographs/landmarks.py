@@ -130,7 +130,7 @@ def _array(path: Path) -> np.ndarray:
     suffix = path.suffix.lower()
     if suffix == ".csv":
         with path.open(encoding="utf-8-sig") as file:
-            header = any(letter.isalpha() for letter in file.readline())
+            header = not all(_is_number(word) for word in file.readline().split(","))
         return np.loadtxt(path, delimiter=",", skiprows=int(header), encoding="utf-8-sig")
     if suffix == ".npy":
         return np.load(path, mmap_mode="r", allow_pickle=False)
@@ -141,6 +141,14 @@ def _array(path: Path) -> np.ndarray:
         if not arrays.files:
             raise UserError(f"{path} holds no array")
         return arrays["landmarks" if "landmarks" in arrays.files else arrays.files[0]]
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def choose_face(faces: Sequence[FaceLandmarks], face: int | None, source: str) -> FaceLandmarks:
