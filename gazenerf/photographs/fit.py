@@ -16,6 +16,7 @@ from gazenerf.head_model.interface import HeadModel
 from gazenerf.image_metrics import psnr
 from gazenerf.photographs.appearance import Seen, face_oval, fit_appearance
 from gazenerf.photographs.correspondence import LandmarkTable, table_for
+from gazenerf.photographs.eye_outlines import told_outlines
 from gazenerf.photographs.irises import CLOSED, find_irises, openness
 from gazenerf.photographs.landmarks import FaceLandmarks
 from gazenerf.photographs.picture_terms import Observed
@@ -189,7 +190,7 @@ def _fitted(
     shift = np.array([seen.camera.cx, seen.camera.cy]) - to_seen * [picture.camera.cx, picture.camera.cy]
     residuals = measured(photograph, coarse, picture, irises) | {"face_psnr_db": face_psnr(seen, raster.image)}
     provenance = {"made_by": "gazenerf fit", "photograph": photograph.name, "head_model": model.name, "trained": False,
-                  "fine_tuned": False}  # fmt: skip
+                  "fine_tuned": False, **told_outlines(photograph.landmarks)}  # fmt: skip
     subject = Subject(Path(photograph.name).stem, codes, codes, picture.camera, picture.gaze, provenance)
     detected = marks[: len(table.vertices)]
     return FittedPhotograph(
