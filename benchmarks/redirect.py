@@ -74,7 +74,7 @@ def eye_region(meshes: tuple[HeadMesh, ...], camera: Camera) -> np.ndarray:
 
 
 def read_gaze(image: np.ndarray, mesh: HeadMesh, camera: Camera, gaze: Gaze) -> float:
-    """Degrees by which the iris gauge's reading of one picture misses a gaze, mean of the eyes that it reads; NaN for none."""
+    """Degrees by which the iris gauge's reading of one picture misses a gaze, mean of both eyes; NaN for none."""
     directions = []
     for eye, centre in zip(("left", "right"), mesh.eye_centres, strict=True):
         found = fit_iris(image / 255.0, opening_mask(mesh, eye, camera), camera, centre, mesh.eye_radius)

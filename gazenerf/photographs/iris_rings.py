@@ -24,9 +24,12 @@ BLUR_PX, MOST_BLUR = 0.6, 0.2
 GLINT_WITHIN = 0.75
 """Highlights are looked for within this share of the iris's angle."""
 
-GLINT_EXCESS, GLINT_EDGE = 0.13, (0.06, 0.15)
-"""Their brightest pixel is so much brighter than its ring, relative to the white. What joins it and is brighter than
-the first, and than the second's share of the brightest, belongs to it."""
+GLINT_CONTRAST = 0.4
+"""Their pixels exceed their ring by so much of the ring's own colour and the following."""
+
+GLINT_EXCESS, GLINT_EDGE = 0.2, (0.04, 0.15)
+"""So much, relative to the white, is the brightest pixel brighter. What joins it and is brighter by the first, and by
+the second's share of what the brightest is, belongs to it."""
 
 DARKER = 0.25
 """Highlights are measured against this quantile of a ring: they may cover most of the pupil."""
@@ -87,7 +90,8 @@ def corneal_glint(
     relative: np.ndarray, expected: np.ndarray, share: np.ndarray, certain: np.ndarray, unit: float
 ) -> np.ndarray:
     """(H, W) share of each pixel that a reflection on the cornea covers."""
-    excess = (relative - expected) @ LUMINANCE
+    ring = expected @ LUMINANCE
+    excess = relative @ LUMINANCE - (1.0 + GLINT_CONTRAST) * ring
     near = np.nan_to_num(share, nan=9.0)
     looked_at = np.where((near < 0.95) & (certain > 0.3), excess, 0.0)
     count, labels = cv2.connectedComponents((looked_at > GLINT_EXCESS).astype(np.uint8))

@@ -8,7 +8,10 @@ import numpy as np
 from gazenerf.evaluation.iris import fit_iris
 from gazenerf.geometry import Camera
 from gazenerf.head_model.eyes import IRIS_ANGLE
+from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, HeadMesh
 from gazenerf.photographs.landmarks import FaceLandmarks
+from gazenerf.photographs.lid_motion import shown_part
+from gazenerf.photographs.openings import eye_opening
 from gazenerf.photographs.picture_terms import MM_PER_UNIT, IrisPoints
 
 LIDS_LEFT = (263, 466, 388, 387, 386, 385, 384, 398, 362, 382, 381, 380, 374, 373, 390, 249)
@@ -44,7 +47,12 @@ def openness(landmarks: FaceLandmarks) -> tuple[float, float]:
 
 
 def find_irises(
-    image: np.ndarray, landmarks: FaceLandmarks, camera: Camera, centres: np.ndarray, radius: float
+    image: np.ndarray,
+    landmarks: FaceLandmarks,
+    camera: Camera,
+    centres: np.ndarray,
+    radius: float,
+    mesh: HeadMesh | None = None,
 ) -> IrisPoints | None:
     """The irises of a photograph, each searched inside its lids as a dark disc on the fitted eyeball.
 
@@ -54,6 +62,7 @@ def find_irises(
         camera: Of the fitted head.
         centres: (2, 3) of the eyeballs, the subject's left first, world units.
         radius: Of the eyeballs, world units.
+        mesh: The fitted head, with which the openings are found in the pixels; the landmarks' outlines count without.
 
     Returns:
         None where neither eye shows one.
@@ -69,7 +78,11 @@ def find_irises(
         mask = np.zeros(window.shape[:2], np.uint8)
         inside = np.round(((outline - corner) * scale - 0.5) * 16.0).astype(np.int32)
         cv2.fillPoly(mask, [inside], 1, lineType=cv2.LINE_8, shift=4)
-        fit = fit_iris(window / 255.0, mask > 0, view, centres[eye], radius)
+        opening = mask > 0
+        if mesh is not None:
+            shown = shown_part(mesh, view, (EYE_LEFT, EYE_RIGHT)[eye])
+            opening = eye_opening(window, shown, opening, landmarks.interocular * scale[0]) > 0.5
+        fit = fit_iris(window / 255.0, opening, view, centres[eye], radius)
         if fit is not None:
             found[eye] = camera.project(centres[eye] + np.cos(IRIS_ANGLE) * radius * fit.direction)[0]
     if landmarks.irises is not None:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from gazenerf.errors import UserError
-from gazenerf.evaluation.iris import fit_iris
+from gazenerf.evaluation.iris import IrisFit, fit_iris
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, HeadMesh, HeadModel
 from gazenerf.head_model.lids import smoothstep
@@ -17,8 +17,9 @@ from gazenerf.photographs.eye_layers import EyeLayers, take_apart
 from gazenerf.photographs.eye_outlines import eye_outlines, outline_openness
 from gazenerf.photographs.eyeball import Eyeball, sample
 from gazenerf.photographs.grain import grain, grain_level
-from gazenerf.photographs.irises import CLOSED
+from gazenerf.photographs.irises import CLOSED, LARGEST_INTEROCULAR
 from gazenerf.photographs.lid_motion import lid_motion, shown_part
+from gazenerf.photographs.openings import eye_opening
 from gazenerf.subjects import Subject
 
 REACH = 0.56
@@ -180,9 +181,9 @@ class Redirector:
         camera = self.camera.cropped(left, top, w, h).resized(w * factor, h * factor)
         part = self.pixels[top : top + h, left : left + w].astype(np.float32) / 255.0
         large = cv2.resize(part, (w * factor, h * factor), interpolation=cv2.INTER_CUBIC)
-        opening = self._opening(eye, camera, np.array([left, top]), factor)
+        opening = self._opening(eye, large, camera, np.array([left, top]), factor)
         eyeball = Eyeball(np.asarray(self.mesh.eye_centres[eye], np.float64), self.mesh.eye_radius)
-        found = fit_iris(large, opening > 0.5, camera, eyeball.centre, eyeball.radius)
+        found = _iris(large, opening, camera, eyeball, self.unit * factor)
         if found is not None:
             self.irises_seen[eye] = True
             there = np.stack([found.direction, self.subject.gaze.vector()])
@@ -192,12 +193,21 @@ class Redirector:
         layers = take_apart(linear, opening, camera, eyeball, self.subject.gaze, self.unit * factor, factor)
         return _Window(left, top, w, h, factor, linear, layers)
 
-    def _opening(self, eye: int, camera: Camera, corner: np.ndarray, factor: int) -> np.ndarray:
-        """(H, W) share of each pixel of a window between the lids."""
-        mask = np.zeros((camera.height, camera.width), np.uint8)
-        if self._outlines is None:
-            mask[shown_part(self.mesh, camera, (EYE_LEFT, EYE_RIGHT)[eye])] = 255
-        else:
+    def _opening(self, eye: int, large: np.ndarray, camera: Camera, corner: np.ndarray, factor: int) -> np.ndarray:
+        """(H, W) share of each pixel of a window, (H, W, 3) in [0, 1], between the lids."""
+        fitted, outline = shown_part(self.mesh, camera, (EYE_LEFT, EYE_RIGHT)[eye]), None
+        if self._outlines is not None:
+            mask = np.zeros(fitted.shape, np.uint8)
             points = np.round(((self._outlines[eye] - corner) * factor - 0.5) * 16.0).astype(np.int32)
-            cv2.fillPoly(mask, [points], 255, lineType=cv2.LINE_AA, shift=4)
-        return cv2.GaussianBlur(mask.astype(np.float32) / 255.0, (0, 0), max(0.5, 0.006 * self.unit * factor))
+            outline = cv2.fillPoly(mask, [points], 1, lineType=cv2.LINE_8, shift=4) > 0
+        pixels = np.clip(np.round(large * 255.0), 0, 255).astype(np.uint8)
+        return eye_opening(pixels, fitted, outline, self.unit * factor)
+
+
+def _iris(image: np.ndarray, opening: np.ndarray, camera: Camera, eyeball: Eyeball, unit: float) -> IrisFit | None:
+    """The iris of a window, (H, W, 3) in [0, 1], searched in a picture that is no larger than is of use."""
+    factor = min(1.0, LARGEST_INTEROCULAR / unit)
+    size = max(2, round(camera.width * factor)), max(2, round(camera.height * factor))
+    if factor < 1.0:
+        image, opening = (cv2.resize(part, size, interpolation=cv2.INTER_AREA) for part in (image, opening))
+    return fit_iris(image, opening > 0.5, camera.resized(*size), eyeball.centre, eyeball.radius)
