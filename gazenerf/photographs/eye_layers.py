@@ -42,6 +42,9 @@ BORDER = (0.012, 0.035)
 SHADOW_RANGE, SHADOW_BLUR = (0.2, 1.0), 0.005
 """What the lids' shadow may make of the white, and its smoothing in distances between the eyes."""
 
+SHADOW_TINT = np.array([0.8, 1.05, 1.3])
+"""Exponents of that share in red, green and blue: what reaches the eye there comes from skin."""
+
 REST_DEGREES = 3.0
 """What the three layers do not explain fades with the angle by which the eye turns: to 1 / e at this one."""
 
@@ -150,9 +153,7 @@ def take_apart(
     known = certain * (1.0 - glint)
     iris = expected + known[..., None] * (relative - expected)
     shown = iris + (1.0 - on_iris)[..., None] * (1.0 - iris)
-    base = np.where(
-        (on_iris > 0.0)[..., None], white * _shadow(linear, white * shown, certain, unit)[..., None], linear
-    )
+    base = np.where((on_iris > 0.0)[..., None], white * _shadow(linear, white * shown, certain, unit), linear)
     layers = EyeLayers(
         camera, eyeball, gaze, float(size), fade, opening, base, highlight, relative * known[..., None], known, rings,
         on_iris * inside, np.zeros_like(linear),
@@ -162,10 +163,10 @@ def take_apart(
 
 
 def _shadow(linear: np.ndarray, lit: np.ndarray, certain: np.ndarray, unit: float) -> np.ndarray:
-    """(H, W) share of light that lashes and lids leave near the border of the opening."""
+    """(H, W, 3) share of light that lashes and lids leave near the border of the opening."""
     ratio = (linear @ LUMINANCE) / np.maximum(lit @ LUMINANCE, 0.01)
     shadow = 1.0 + (1.0 - certain) * (np.clip(ratio, *SHADOW_RANGE) - 1.0)
-    return cv2.GaussianBlur(shadow, (0, 0), max(0.5, SHADOW_BLUR * unit))
+    return cv2.GaussianBlur(shadow, (0, 0), max(0.5, SHADOW_BLUR * unit))[..., None] ** SHADOW_TINT
 
 
 def continued_white(linear: np.ndarray, domain: np.ndarray, known: np.ndarray, unit: float) -> np.ndarray:
@@ -178,4 +179,4 @@ def continued_white(linear: np.ndarray, domain: np.ndarray, known: np.ndarray, u
     if known.sum() < SMALLEST_KNOWN:
         return white
     filled = harmonic_fill(smooth, known, domain)
-    return np.where((filled > 0.0).all(axis=-1, keepdims=True), filled, white)
+    return np.where((filled > 0.0).all(axis=-1, keepdims=True), filled, np.median(linear[known], axis=0))

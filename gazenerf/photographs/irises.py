@@ -5,10 +5,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from gazenerf.evaluation.iris import fit_iris
+from gazenerf.evaluation.iris import IrisFit, fit_iris
 from gazenerf.geometry import Camera
 from gazenerf.head_model.eyes import IRIS_ANGLE
 from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, HeadMesh
+from gazenerf.photographs.eyeball import Eyeball
 from gazenerf.photographs.landmarks import FaceLandmarks
 from gazenerf.photographs.lid_motion import shown_part
 from gazenerf.photographs.openings import eye_opening
@@ -103,3 +104,23 @@ def _window(image: np.ndarray, points: np.ndarray, camera: Camera, interocular: 
         return part, view
     size = max(2, round(view.width * factor)), max(2, round(view.height * factor))
     return cv2.resize(part, size, interpolation=cv2.INTER_AREA), view.resized(*size)
+
+
+def find_iris(image: np.ndarray, opening: np.ndarray, camera: Camera, eyeball: Eyeball, unit: float) -> IrisFit | None:
+    """The iris of one eye, searched in a picture that is no larger than is of use.
+
+    Args:
+        image: (H, W, 3) sRGB in [0, 1].
+        opening: (H, W) share of each pixel between the lids.
+        camera: Of the picture.
+        eyeball: Of the fitted head.
+        unit: Distance between the eyes, pixels.
+
+    Returns:
+        None where the opening shows none.
+    """
+    factor = min(1.0, LARGEST_INTEROCULAR / unit)
+    size = max(2, round(camera.width * factor)), max(2, round(camera.height * factor))
+    if factor < 1.0:
+        image, opening = (cv2.resize(part, size, interpolation=cv2.INTER_AREA) for part in (image, opening))
+    return fit_iris(image, opening > 0.5, camera.resized(*size), eyeball.centre, eyeball.radius)

@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 
 from gazenerf.errors import UserError
-from gazenerf.evaluation.iris import IrisFit, fit_iris
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, HeadMesh, HeadModel
 from gazenerf.head_model.lids import smoothstep
@@ -17,7 +16,7 @@ from gazenerf.photographs.eye_layers import EyeLayers, take_apart
 from gazenerf.photographs.eye_outlines import eye_outlines, outline_openness
 from gazenerf.photographs.eyeball import Eyeball, sample
 from gazenerf.photographs.grain import grain, grain_level
-from gazenerf.photographs.irises import CLOSED, LARGEST_INTEROCULAR
+from gazenerf.photographs.irises import CLOSED, find_iris
 from gazenerf.photographs.lid_motion import lid_motion, shown_part
 from gazenerf.photographs.openings import eye_opening
 from gazenerf.subjects import Subject
@@ -183,7 +182,7 @@ class Redirector:
         large = cv2.resize(part, (w * factor, h * factor), interpolation=cv2.INTER_CUBIC)
         opening = self._opening(eye, large, camera, np.array([left, top]), factor)
         eyeball = Eyeball(np.asarray(self.mesh.eye_centres[eye], np.float64), self.mesh.eye_radius)
-        found = _iris(large, opening, camera, eyeball, self.unit * factor)
+        found = find_iris(large, opening, camera, eyeball, self.unit * factor)
         if found is not None:
             self.irises_seen[eye] = True
             there = np.stack([found.direction, self.subject.gaze.vector()])
@@ -202,12 +201,3 @@ class Redirector:
             outline = cv2.fillPoly(mask, [points], 1, lineType=cv2.LINE_8, shift=4) > 0
         pixels = np.clip(np.round(large * 255.0), 0, 255).astype(np.uint8)
         return eye_opening(pixels, fitted, outline, self.unit * factor)
-
-
-def _iris(image: np.ndarray, opening: np.ndarray, camera: Camera, eyeball: Eyeball, unit: float) -> IrisFit | None:
-    """The iris of a window, (H, W, 3) in [0, 1], searched in a picture that is no larger than is of use."""
-    factor = min(1.0, LARGEST_INTEROCULAR / unit)
-    size = max(2, round(camera.width * factor)), max(2, round(camera.height * factor))
-    if factor < 1.0:
-        image, opening = (cv2.resize(part, size, interpolation=cv2.INTER_AREA) for part in (image, opening))
-    return fit_iris(image, opening > 0.5, camera.resized(*size), eyeball.centre, eyeball.radius)

@@ -12,22 +12,13 @@ from PIL import Image
 
 from benchmarks.redirect import true_subject
 from gazenerf.cli.main import main
-from gazenerf.data.rasterizer import Rasterizer
-from gazenerf.head_model import load_head_model
-from gazenerf.photographs.rendered_people import rendered_person
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """A photograph of a rendered person, its true subject, and its standard landmarks."""
-    where, model = tmp_path_factory.mktemp("photo"), load_head_model()
-    with Rasterizer((256, 256), 2) as rasterizer:
-        item = rendered_person(model, rasterizer, 31, 0)
-    points, _ = item.camera.project(item.mesh.vertices[model.landmark_vertices].astype(float))
-    Image.fromarray(item.image).save(where / "me.png")
-    true_subject(item).save(where / "me.safetensors")
-    np.save(where / "marks.npy", points)
-    np.save(where / "two.npy", np.stack([points, points + 1.0]))
+def folder(tmp_path_factory, write_person):
+    """A photograph with its landmarks and the subject that nobody can fit better."""
+    where = tmp_path_factory.mktemp("photo")
+    true_subject(write_person(where)).save(where / "me.safetensors")
     return where
 
 
