@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape
@@ -20,9 +21,12 @@ SOFTWARE = f"gazenerf {__version__}"
 QUALITY = 95
 """Of JPEG and WebP, with colour at full resolution in JPEG."""
 
+MOST_EXIF_BYTES = 60000
+"""A JPEG segment holds 65533, the mark among them."""
+
 INTEROPERABILITY = 0xA005
 NOT_COPIED = (
-    ExifTags.Base.Orientation, ExifTags.Base.Software, ExifTags.Base.ImageDescription, ExifTags.Base.ExifOffset,
+    ExifTags.Base.Orientation, ExifTags.Base.Software, ExifTags.Base.ExifOffset,
     ExifTags.Base.GPSInfo, ExifTags.Base.ImageWidth, ExifTags.Base.ImageLength, INTEROPERABILITY,
 )  # fmt: skip
 NOT_COPIED_EXIF = (
@@ -94,9 +98,19 @@ def write_altered(path: Path, pixels: np.ndarray, source: Path | None, requested
 
 def _exif(source: Path | None, requested: str | None) -> Image.Exif:
     """The photograph's EXIF without what is no longer true, and with the mark where a gaze is given."""
+    exif = Image.Exif() if source is None else _kept_exif(source)
+    if requested is not None:
+        exif[ExifTags.Base.Software] = SOFTWARE
+        exif[ExifTags.Base.ImageDescription] = f"{ALTERED}; {requested}"
+    return exif
+
+
+def _kept_exif(source: Path) -> Image.Exif:
+    """What is still true of a photograph's EXIF; nothing where it is damaged or too long to be written again."""
     exif = Image.Exif()
-    if source is not None:
-        with Image.open(source) as image:
+    try:
+        with warnings.catch_warnings(), Image.open(source) as image:
+            warnings.simplefilter("ignore")
             old = image.getexif()
             for tag, value in old.items():
                 if tag not in NOT_COPIED:
@@ -105,9 +119,6 @@ def _exif(source: Path | None, requested: str | None) -> Image.Exif:
                 kept = {tag: value for tag, value in old.get_ifd(ifd).items() if tag not in NOT_COPIED_EXIF}
                 if kept:
                     exif.get_ifd(ifd).update(kept)
-            if requested is None and (told := old.get(ExifTags.Base.ImageDescription)):
-                exif[ExifTags.Base.ImageDescription] = told
-    if requested is not None:
-        exif[ExifTags.Base.Software] = SOFTWARE
-        exif[ExifTags.Base.ImageDescription] = f"{ALTERED}; {requested}"
-    return exif
+        return exif if len(exif.tobytes()) < MOST_EXIF_BYTES else Image.Exif()
+    except Exception:  # Pillow raises errors of many kinds over EXIF that others wrote
+        return Image.Exif()

@@ -58,6 +58,13 @@ def test_without_the_mark_nothing_tells(tmp_path, photograph, suffix):
         assert image.getexif()[ExifTags.Base.ImageDescription] == "on the beach"
 
 
+@pytest.mark.parametrize("content", [b"Exif\0\0MM\0*\0\0\0\x08\0\x05\x01\x0f\0\x02\xff\xff", b"Exif\0\0nonsense"])
+def test_damaged_exif_is_dropped_and_the_mark_written(tmp_path, content):
+    Image.fromarray(PIXELS).save(tmp_path / "odd.jpg", exif=content)
+    write_altered(tmp_path / "new.jpg", PIXELS, tmp_path / "odd.jpg", ASKED)
+    assert dict(Image.open(tmp_path / "new.jpg").getexif())[ExifTags.Base.ImageDescription].startswith(ALTERED)
+
+
 def test_other_suffixes_are_refused(tmp_path):
     with pytest.raises(UserError, match="cannot write a picture as new"):
         write_altered(tmp_path / "new.gif", PIXELS, None, ASKED)
