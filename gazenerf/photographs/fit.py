@@ -12,10 +12,11 @@ import numpy as np
 
 from gazenerf.data.rasterizer import Rasterizer
 from gazenerf.errors import UserError
-from gazenerf.head_model.interface import HeadModel
+from gazenerf.head_model.interface import HeadMesh, HeadModel
 from gazenerf.image_metrics import psnr
 from gazenerf.photographs.appearance import Seen, face_oval, fit_appearance
 from gazenerf.photographs.correspondence import LandmarkTable, table_for
+from gazenerf.photographs.eye_outlines import told_outlines
 from gazenerf.photographs.irises import CLOSED, find_irises, openness
 from gazenerf.photographs.landmarks import FaceLandmarks
 from gazenerf.photographs.picture_terms import Observed
@@ -137,11 +138,18 @@ def _with_pixel_irises(
     """The fit with irises from pixels where they are found."""
     centres = np.asarray(model.eye_centres(coarse.identity), dtype=np.float64)
     radius = model.skin_points(table.vertices[:1]).radius
-    better = [
-        item.with_irises(find_irises(p.pixels, p.landmarks, picture.camera, centres, radius))
-        for item, p, picture in zip(observed, photographs, coarse.pictures, strict=True)
-    ]
+    better = []
+    for item, photograph, picture in zip(observed, photographs, coarse.pictures, strict=True):
+        mesh = _shape_mesh(model, coarse.identity, picture)
+        args = photograph.pixels, photograph.landmarks, picture.camera, centres, radius, mesh
+        better.append(item.with_irises(find_irises(*args)))
     return coarse if all(item.irises is None for item in better) else fit_shape(model, better, table, coarse)
+
+
+def _shape_mesh(model: HeadModel, identity: np.ndarray, picture: PictureFit) -> HeadMesh:
+    """The fitted head without texture or light."""
+    looks = np.zeros(model.code_sizes[2], np.float32), np.zeros(27, np.float32)
+    return model.mesh(Codes(identity, picture.expression, *looks), picture.gaze)
 
 
 def _seen(model: HeadModel, photograph: Photograph, shape: ShapeFit, number: int) -> Seen:
@@ -160,8 +168,7 @@ def _seen(model: HeadModel, photograph: Photograph, shape: ShapeFit, number: int
         return cv2.resize(array[top:bottom, left:right], size, interpolation=how)
 
     scale = np.array([size[0] / (right - left), size[1] / (bottom - top)])
-    zero = np.zeros(model.code_sizes[2], np.float32), np.zeros(27, np.float32)
-    mesh = model.mesh(Codes(shape.identity, picture.expression, *zero), picture.gaze)
+    mesh = _shape_mesh(model, shape.identity, picture)
     with Rasterizer(size, 1) as rasterizer:
         raster = rasterizer.render(mesh, np.zeros((len(mesh.vertices), 3)), camera)
     person, labels = photograph.person, photograph.labels
@@ -189,7 +196,7 @@ def _fitted(
     shift = np.array([seen.camera.cx, seen.camera.cy]) - to_seen * [picture.camera.cx, picture.camera.cy]
     residuals = measured(photograph, coarse, picture, irises) | {"face_psnr_db": face_psnr(seen, raster.image)}
     provenance = {"made_by": "gazenerf fit", "photograph": photograph.name, "head_model": model.name, "trained": False,
-                  "fine_tuned": False}  # fmt: skip
+                  "fine_tuned": False, **told_outlines(photograph.landmarks)}  # fmt: skip
     subject = Subject(Path(photograph.name).stem, codes, codes, picture.camera, picture.gaze, provenance)
     detected = marks[: len(table.vertices)]
     return FittedPhotograph(

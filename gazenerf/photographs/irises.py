@@ -5,10 +5,14 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from gazenerf.evaluation.iris import fit_iris
+from gazenerf.evaluation.iris import IrisFit, fit_iris
 from gazenerf.geometry import Camera
 from gazenerf.head_model.eyes import IRIS_ANGLE
+from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, HeadMesh
+from gazenerf.photographs.eyeball import Eyeball
 from gazenerf.photographs.landmarks import FaceLandmarks
+from gazenerf.photographs.lid_motion import shown_part
+from gazenerf.photographs.openings import eye_opening
 from gazenerf.photographs.picture_terms import MM_PER_UNIT, IrisPoints
 
 LIDS_LEFT = (263, 466, 388, 387, 386, 385, 384, 398, 362, 382, 381, 380, 374, 373, 390, 249)
@@ -44,7 +48,12 @@ def openness(landmarks: FaceLandmarks) -> tuple[float, float]:
 
 
 def find_irises(
-    image: np.ndarray, landmarks: FaceLandmarks, camera: Camera, centres: np.ndarray, radius: float
+    image: np.ndarray,
+    landmarks: FaceLandmarks,
+    camera: Camera,
+    centres: np.ndarray,
+    radius: float,
+    mesh: HeadMesh | None = None,
 ) -> IrisPoints | None:
     """The irises of a photograph, each searched inside its lids as a dark disc on the fitted eyeball.
 
@@ -54,6 +63,7 @@ def find_irises(
         camera: Of the fitted head.
         centres: (2, 3) of the eyeballs, the subject's left first, world units.
         radius: Of the eyeballs, world units.
+        mesh: The fitted head, with which the openings are found in the pixels; the landmarks' outlines count without.
 
     Returns:
         None where neither eye shows one.
@@ -69,7 +79,11 @@ def find_irises(
         mask = np.zeros(window.shape[:2], np.uint8)
         inside = np.round(((outline - corner) * scale - 0.5) * 16.0).astype(np.int32)
         cv2.fillPoly(mask, [inside], 1, lineType=cv2.LINE_8, shift=4)
-        fit = fit_iris(window / 255.0, mask > 0, view, centres[eye], radius)
+        opening = mask > 0
+        if mesh is not None:
+            shown = shown_part(mesh, view, (EYE_LEFT, EYE_RIGHT)[eye])
+            opening = eye_opening(window, shown, opening, landmarks.interocular * scale[0]) > 0.5
+        fit = fit_iris(window / 255.0, opening, view, centres[eye], radius)
         if fit is not None:
             found[eye] = camera.project(centres[eye] + np.cos(IRIS_ANGLE) * radius * fit.direction)[0]
     if landmarks.irises is not None:
@@ -90,3 +104,23 @@ def _window(image: np.ndarray, points: np.ndarray, camera: Camera, interocular: 
         return part, view
     size = max(2, round(view.width * factor)), max(2, round(view.height * factor))
     return cv2.resize(part, size, interpolation=cv2.INTER_AREA), view.resized(*size)
+
+
+def find_iris(image: np.ndarray, opening: np.ndarray, camera: Camera, eyeball: Eyeball, unit: float) -> IrisFit | None:
+    """The iris of one eye, searched in a picture that is no larger than is of use.
+
+    Args:
+        image: (H, W, 3) sRGB in [0, 1].
+        opening: (H, W) share of each pixel between the lids.
+        camera: Of the picture.
+        eyeball: Of the fitted head.
+        unit: Distance between the eyes, pixels.
+
+    Returns:
+        None where the opening shows none.
+    """
+    factor = min(1.0, LARGEST_INTEROCULAR / unit)
+    size = max(2, round(camera.width * factor)), max(2, round(camera.height * factor))
+    if factor < 1.0:
+        image, opening = (cv2.resize(part, size, interpolation=cv2.INTER_AREA) for part in (image, opening))
+    return fit_iris(image, opening > 0.5, camera.resized(*size), eyeball.centre, eyeball.radius)

@@ -11,22 +11,14 @@ import pytest
 from PIL import Image
 
 from gazenerf.cli.main import main
-from gazenerf.data.rasterizer import Rasterizer
-from gazenerf.head_model import load_head_model
-from gazenerf.photographs.rendered_people import rendered_person
 from gazenerf.subjects import Subject
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """A photograph of a rendered person, its standard landmarks, and two faces in one file."""
-    where, model = tmp_path_factory.mktemp("photo"), load_head_model()
-    with Rasterizer((256, 256), 2) as rasterizer:
-        item = rendered_person(model, rasterizer, 31, 0)
-    points, _ = item.camera.project(item.mesh.vertices[model.landmark_vertices].astype(float))
-    Image.fromarray(item.image).save(where / "me.png")
-    np.save(where / "marks.npy", points)
-    np.save(where / "two.npy", np.stack([points, points + 1.0]))
+def folder(tmp_path_factory, write_person):
+    """A photograph with its landmarks."""
+    where = tmp_path_factory.mktemp("photo")
+    write_person(where)
     return where
 
 

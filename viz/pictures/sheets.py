@@ -48,8 +48,20 @@ def gaze_grid(
     left, top, right, bottom = crop or (0, 0, camera.width, camera.height)
     gazes = [Gaze(float(pitch), float(yaw)) for pitch in down for yaw in across]
     tiles = _drawn(head, [(camera, gaze) for gaze in gazes], progress)
-    kept = [to_uint8(tile)[top:bottom, left:right] for tile in tiles]
-    rows = [kept[first : first + len(across)] for first in range(0, len(kept), len(across))]
+    return gaze_table([to_uint8(tile)[top:bottom, left:right] for tile in tiles], down, across)
+
+
+def gaze_table(tiles: Sequence[np.ndarray], down: Sequence[float], across: Sequence[float]) -> np.ndarray:
+    """Pictures of one size at gazes, labelled.
+
+    Args:
+        tiles: (H, W, 3) uint8, row after row.
+        down, across: Pitches of the rows and yaws of the columns, radians.
+
+    Returns:
+        (H', W', 3) uint8.
+    """
+    rows = [tiles[first : first + len(across)] for first in range(0, len(tiles), len(across))]
     return table(
         rows, [_degrees(p) for p in down], [_degrees(y) for y in across], row_title="pitch", column_title="yaw"
     )

@@ -1,0 +1,104 @@
+"""`gazenerf redirect`: the person in a photograph looks elsewhere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from gazenerf.errors import UserError
+from gazenerf.options import option
+from gazenerf.photographs.make_redirect import RedirectOptions
+from gazenerf.viz.pictures.redirect_sheet import GridOptions
+
+HELP = "change where the person in a photograph looks, for one picture or a folder"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(GridOptions, RedirectOptions):
+    """What the command takes.
+
+    Attributes:
+        photograph: A picture or a folder of them.
+        out: A picture, or a folder for a folder.
+        grid: Many gazes in one labelled picture.
+        overwrite: Replace files.
+    """
+
+    photograph: Path = option(help="photograph (PNG, JPEG, WebP) or a folder of them", flag="photograph")
+    out: Path = option(help=".png (keeps every pixel), .jpg or .webp; a folder for a folder", metavar="FILE")
+    grid: bool = option(False, "many gazes in one labelled picture; see below", only_one="what")
+    overwrite: bool = option(False, "replace existing files, begin a folder anew")
+
+
+def run(options: Options) -> int:
+    """Redirect, write, and print what was done."""
+    from gazenerf.cli.libraries import naming_missing_libraries
+
+    if options.gaze is None and not options.look_at_camera and not options.grid:
+        raise UserError("say where the eyes shall look: --gaze PITCH YAW, --look-at-camera or --grid")
+    with naming_missing_libraries():
+        if options.photograph.is_dir():
+            return _folder(options)
+        return _sheet(options) if options.grid else _one(options)
+
+
+def _one(options: Options) -> int:
+    from gazenerf.cli.common import summary_table, warn
+    from gazenerf.photographs.make_redirect import make_redirect
+
+    made = make_redirect(options.photograph, options.out, options, options.overwrite)
+    for line in made.warnings:
+        warn(line)
+    left, right = made.redirected.gazes
+    rows = {
+        "picture": made.file,
+        "gaze in the photograph": _degrees(*made.redirector.subject.gaze.degrees),
+        "gaze now": _degrees(*left.degrees)
+        if left == right
+        else f"left eye {_degrees(*left.degrees)}; right eye {_degrees(*right.degrees)}",
+        "changed": f"{100.0 * made.redirected.changed.mean():.2f} % of the picture",
+        "metadata": "says that the picture was altered"
+        if options.mark
+        else "does not say that the picture was altered",
+        "seconds": f"{made.seconds:.1f}",
+    }
+    summary_table(f"{options.photograph.name} redirected", rows)
+    return 0
+
+
+def _sheet(options: Options) -> int:
+    from gazenerf.cli.common import showing_progress, summary_table, warn
+    from gazenerf.photographs.make_redirect import prepare, refuse_outputs
+    from gazenerf.photographs.marking import write_altered
+    from gazenerf.viz.pictures.redirect_sheet import redirect_sheet
+
+    refuse_outputs(options.photograph, [options.out], options.overwrite)
+    options.check()
+    redirector, warnings = prepare(options.photograph, options)
+    for line in warnings:
+        warn(line)
+    with showing_progress() as progress:
+        picture = redirect_sheet(redirector, options, progress)
+    write_altered(options.out, picture, None, options.requested_gazes, options.mark)
+    tiles = len(options.pitches) * len(options.yaws)
+    rows = {"picture": options.out, "size": f"{picture.shape[1]}x{picture.shape[0]}, {tiles} tiles"}
+    summary_table(f"{options.photograph.name} redirected", rows)
+    return 0
+
+
+def _folder(options: Options) -> int:
+    from gazenerf.cli.common import summary_table
+    from gazenerf.photographs.redirect_folder import REDIRECTED, redirect_folder
+
+    if options.grid:
+        raise UserError("--grid takes one photograph; give a picture instead of a folder")
+    made = redirect_folder(options.photograph, options.out, options, options.overwrite, lambda line: print(line))
+    rows = {"folder": made.folder, **made.counts, "done by an earlier run": made.before}
+    summary_table(f"pictures of {options.photograph.name}", rows)
+    if not made.counts[REDIRECTED]:
+        raise UserError(f"no picture of {options.photograph} could be redirected; the lines above say why")
+    return 0
+
+
+def _degrees(pitch: float, yaw: float) -> str:
+    return f"pitch {pitch:.1f}, yaw {yaw:.1f} degrees"
