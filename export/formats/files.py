@@ -97,7 +97,7 @@ def write_part(
     for kind in formats:
         path = folder / f"{name}.{kind}"
         if kind == "glb":
-            path.write_bytes(glb(_node(extracted, mesh, metres, png)))
+            path.write_bytes(glb(_node(extracted, mesh, metres, png), compressed=options.compress))
         elif kind == "usdz":
             path.write_bytes(usdz(_node(extracted, mesh, metres, png)))
         elif kind == "ply":
