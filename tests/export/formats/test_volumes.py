@@ -8,8 +8,8 @@ import pytest
 from gazenerf.errors import UserError
 from gazenerf.export import MeshOptions, mesh_subject
 from gazenerf.export.formats.volumes import read_nrrd, write_volume
-from gazenerf.export.summary import mesh_rows
 from gazenerf.export.options import VOLUMES
+from gazenerf.export.summary import mesh_rows
 from gazenerf.export.surface.densities import sample_density
 from gazenerf.heads.analytic import AnalyticField, AnalyticHead
 
