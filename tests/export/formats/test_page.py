@@ -79,6 +79,7 @@ class Tab:
 
     def __init__(self, browser, address: str, width: int = WIDTH, height: int = HEIGHT) -> None:
         self.tab = browser.new_page(viewport={"width": width, "height": height}, reduced_motion="reduce")
+        self.tab.set_default_timeout(90_000.0)  # a machine that is short of cores draws slowly
         self.fetched, self.said = [], []
         self.tab.on("request", lambda request: self.fetched.append(request.url))
         self.tab.on("console", lambda message: self.said.append(message.text))
