@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import trimesh
 
-from gazenerf.export.formats.gltf import Animation, Morph
+from gazenerf.export.formats.nodes import Animation, Morph
 from gazenerf.export.mesh.sphere_fit import Eyeball
 from gazenerf.export.scenes.rig import SWEEP, Scene
 from gazenerf.export.scenes.sequence import face_morphs

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from gazenerf.export.appearance.eyeball_texture import textured_eyeball
 from gazenerf.export.formats.files import in_metres, textured_node
-from gazenerf.export.formats.gltf import Animation, Node, Texture
+from gazenerf.export.formats.nodes import Animation, Node, Texture
 from gazenerf.export.mesh.sphere_fit import Eyeball, fit_eyeballs
 from gazenerf.geometry import Gaze
 from gazenerf.geometry.paths import GazeRange

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gazenerf.export.formats.files import common_facts, in_metres
-from gazenerf.export.formats.gltf import Node, glb
+from gazenerf.export.formats.gltf import glb
+from gazenerf.export.formats.nodes import Node
 from gazenerf.export.surface.density_surface import density_surface
 from gazenerf.export.surface.isosurface import METHODS
 from gazenerf.head_model import HeadMesh

@@ -9,7 +9,8 @@ import pytest
 import torch
 import trimesh
 
-from gazenerf.export.formats.gltf import Node, glb
+from gazenerf.export.formats.gltf import glb
+from gazenerf.export.formats.nodes import Node
 from gazenerf.export.mesh.sphere_fit import Eyeball
 from gazenerf.export.scenes.lids import left_share, lid_weights, with_lids
 from gazenerf.export.scenes.rig import SWEEP, Scene, eyes_clip, gaze_table

@@ -18,7 +18,8 @@ from gazenerf.export.appearance.eyeball_texture import (
     eyeball_mesh,
     textured_eyeball,
 )
-from gazenerf.export.formats.gltf import Animation, Node, glb
+from gazenerf.export.formats.gltf import glb
+from gazenerf.export.formats.nodes import Animation, Node
 from gazenerf.export.mesh.sphere_fit import fit_eyeballs, fit_sphere
 from gazenerf.export.scenes.rig import SWEEP, quaternion, rig
 from gazenerf.geometry import Camera, Gaze
