@@ -94,7 +94,7 @@ def film(page: Page, tab: Tab, name: str) -> None:
         pictures.append(shot.resize((SIZE["width"] * 3 // 4, SIZE["height"] * 3 // 4), Image.Resampling.LANCZOS))
     page.gaze.pad.shown.value = False
     pictures[0].save(
-        IMAGES / name, save_all=True, append_images=pictures[1:], duration=90, loop=0, quality=90, method=6
+        IMAGES / name, save_all=True, append_images=pictures[1:], duration=90, loop=0, quality=75, method=6
     )
     print("wrote", IMAGES / name, f"{(IMAGES / name).stat().st_size:,} bytes")
 
