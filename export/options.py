@@ -121,7 +121,7 @@ class MeshOptions:
     )
     compress: bool = option(
         False,
-        "write GLBs less than half as large, which programs that lack KHR_mesh_quantization or EXT_texture_webp cannot read",
+        "write GLBs less than half as large, for programs that know KHR_mesh_quantization and EXT_texture_webp",
         group=WRITTEN,
     )
 
