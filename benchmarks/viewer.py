@@ -1,6 +1,7 @@
 """How fluent the viewer is, and whether it keeps memory: what one visitor is shown, without a browser.
 
     python -m benchmarks.viewer --out viewer.json
+    python -m benchmarks.viewer --reconnects 50      # only this: tabs of a real browser that come and go
 
 A visitor's camera goes round the head at 60 positions a second, as a browser reports a drag, first with pictures of a
 fixed size, then with the size that the viewer chooses; then it is let go. Then a slider is moved. Then visitors come
@@ -23,10 +24,12 @@ from benchmarks.measure import machine, resident, write_json
 from gazenerf.geometry import Camera
 from gazenerf.geometry.cameras import NEUTRAL_FOV
 from gazenerf.heads import Head
+from gazenerf.viz.viewer.commands import Source
 from gazenerf.viz.viewer.pace import SMALLEST, WANTED_SECONDS
 from gazenerf.viz.viewer.paths import Paths
 from gazenerf.viz.viewer.people import code_sliders, moved
 from gazenerf.viz.viewer.scene import Scene, SceneState
+from gazenerf.viz.viewer.server import serving
 from gazenerf.viz.viewer.viewpoint import Viewpoint
 from gazenerf.viz.viewer.visit import Picture, Visit
 
@@ -148,6 +151,32 @@ def come_and_go(watched: Watched, visits: int, frames: int) -> dict[str, Any]:
     return {"visits": visits, "frames": frames, "early_mib": early / 2**20, "late_mib": late / 2**20}
 
 
+def reconnect(head: Head, checkpoint: str | None, tabs: int) -> dict[str, Any]:
+    """Resident memory of the server while tabs of Chromium open its page, see a full picture and close, one by one."""
+    import shutil
+
+    from playwright.sync_api import sync_playwright
+
+    chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    sizes = []
+    with serving(head, Source(checkpoint), port=0) as (page, address), sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--enable-unsafe-swiftshader"])
+        for _ in range(tabs):
+            tab = browser.new_page(viewport={"width": 480, "height": 360})
+            tab.goto(address)
+            while not page.visits or not all(visit.settled for visit in list(page.visits.values())):
+                time.sleep(0.02)
+            tab.close()
+            while page.visits:
+                time.sleep(0.02)
+            gc.collect()
+            sizes.append(resident() or 0)
+        browser.close()
+    tenth = max(1, tabs // 10)
+    steps = [float(np.median(sizes[start : start + tenth])) / 2**20 for start in range(0, tabs, tenth)]
+    return {"tabs": tabs, "mib_of_each_tenth": [round(size, 1) for size in steps]}
+
+
 def measure(head: Head, seconds: float, visits: int, frames: int) -> dict[str, Any]:
     """Everything that the command prints."""
     watched = Watched(head)
@@ -174,10 +203,15 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=6.0, help="of each drag")
     parser.add_argument("--visits", type=int, default=50)
     parser.add_argument("--frames", type=int, default=2000)
+    parser.add_argument("--reconnects", type=int, help="only open and close so many tabs; playwright and Chromium")
     parser.add_argument("--out", type=Path, help="JSON file")
     args = parser.parse_args()
     head = gazenerf.load("noa", args.checkpoint, args.device)
-    found = {"machine": machine()} | measure(head, args.seconds, args.visits, args.frames)
+    if args.reconnects is None:
+        measured = measure(head, args.seconds, args.visits, args.frames)
+    else:
+        measured = {"reconnects": reconnect(head, args.checkpoint, args.reconnects)}
+    found: dict[str, Any] = {"machine": machine()} | measured
     for name, numbers in found.items():
         print(name, {key: round(value, 3) if isinstance(value, float) else value for key, value in numbers.items()})
     if args.out is not None:

@@ -31,6 +31,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "max_faces": 15_000,
         "texture": 1024,
         "rig": True,
+        "page": True,
     },
     "print": {
         "parts": ("head",),
@@ -66,6 +67,9 @@ class MeshOptions:
         points: Also write so many coloured points of each surface.
         volumes: Also write the densities, some of nrrd, vti, npz.
         rig: Also write one file whose eyes turn.
+        page: Also write `index.html`, which shows the rig in any browser; the rig is written with it.
+        clip: The rig has a clip that shows it.
+        compress: Write GLBs with 16-bit positions, 8-bit normals and WebP textures.
     """
 
     parts: tuple[Part, ...] = option(("face", "eyes"), "face, eyes, head (default: face eyes)", metavar="PART")
@@ -103,7 +107,21 @@ class MeshOptions:
     rig: bool = option(
         False,
         "also write rig.glb, one file whose eyes turn",
-        off=("--no-rig", "no rig.glb where --for would write one"),
+        off=("--no-rig", "neither rig.glb nor index.html where --for would write them"),
+        group=WRITTEN,
+    )
+    page: bool = option(
+        False,
+        "also write index.html, one file that shows the rig in any browser, without a network",
+        off=("--no-page", "no index.html where --for would write one"),
+        group=WRITTEN,
+    )
+    clip: bool = option(
+        True, "no animation in the rig, which would turn the eyes back", flag="--no-clip", group=WRITTEN
+    )
+    compress: bool = option(
+        False,
+        "write GLBs less than half as large, for programs that know KHR_mesh_quantization and EXT_texture_webp",
         group=WRITTEN,
     )
 
@@ -120,7 +138,7 @@ class MeshOptions:
     def preset(cls, use: str | None, /, **given: Any) -> Self:
         """Settings that fit a use; what is given beside it wins.
 
-        A preset's rig is left out where the parts that it needs are not among the given ones.
+        Its rig is left out where the parts that it needs are not among the given ones, and its page where the rig is.
 
         Raises:
             UserError: unknown use.
@@ -130,6 +148,9 @@ class MeshOptions:
         preset = {} if use is None else dict(PRESETS[use])
         if "parts" in given and not {"face", "eyes"} <= set(given["parts"]):
             preset.pop("rig", None)
+            preset.pop("page", None)
+        if given.get("rig") is False:
+            preset.pop("page", None)
         return cls(**(preset | given))
 
     def check(self) -> None:

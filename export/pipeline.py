@@ -20,10 +20,12 @@ from gazenerf.export.formats.files import (
     write_sidecar,
 )
 from gazenerf.export.formats.gltf import glb
+from gazenerf.export.formats.page import rig_page
 from gazenerf.export.formats.usd import check_usd, usdz
 from gazenerf.export.mesh.face_distance import distance_in_face_crop
 from gazenerf.export.options import TEXTURED, MeshOptions
 from gazenerf.export.part_mesh import PartMesh, extract_part
+from gazenerf.export.scenes.lids import with_lids
 from gazenerf.export.scenes.rig import Scene, rig
 from gazenerf.export.scenes.sequence import check_sequence, sequence_scene
 from gazenerf.files import refuse_existing, whole_folder
@@ -31,6 +33,12 @@ from gazenerf.geometry import Gaze
 from gazenerf.head_model import ReferenceHead
 from gazenerf.heads.interface import BoundField, HeadField, Part
 from gazenerf.progress import Progress, silent
+
+PAGE_LINE = (
+    "A head taken out of a neural field (GazeNeRF) as a textured mesh: the eyeballs turn about their centres, and the "
+    "lids follow the gaze."
+)
+"""What index.html says of itself."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +100,7 @@ def mesh_subject(
         UserError: impossible settings, an empty volume, no surface, or existing files without `overwrite`.
     """
     out, options, gaze = Path(out), options or MeshOptions(), gaze or Gaze()
-    rigged = options.rig or bool(len(sequence))
+    rigged = options.rig or options.page or bool(len(sequence))
     _check(options, rigged, sequence)
     if not rigged and not set(TEXTURED) & set(options.formats):
         options = replace(options, texture=None)
@@ -102,7 +110,7 @@ def mesh_subject(
         part: extract_part(bound, part, options, progress=progress) for part in options.parts
     }
     measured = {part: _measured(bound, extracted, progress) for part, extracted in meshes.items()}
-    scenes = _scenes(head, bound, meshes, () if numbered else sequence, progress) if rigged else {}
+    scenes = _scenes(head, bound, meshes, options, () if numbered else sequence, progress) if rigged else {}
     parts: dict[Part, WrittenPart] = {}
     written: dict[str, WrittenScene] = {}
     with whole_folder(out) as folder:
@@ -136,6 +144,7 @@ def _names(options: MeshOptions, rigged: bool, gazes: int, numbered: bool) -> li
     names = list(files)
     if rigged:
         names += ["rig.glb", "rig.json", *(["rig.usdz"] if "usdz" in options.formats else [])]
+        names += ["index.html"] if options.page else []
     if gazes and not numbered:
         names += ["sequence.glb", "sequence.json"]
     if numbered:
@@ -163,7 +172,12 @@ def _measured(bound: BoundField, extracted: PartMesh, progress: Progress) -> Fac
 
 
 def _scenes(
-    head: HeadField, bound: BoundField, meshes: dict[Part, PartMesh], sequence: Sequence[Gaze], progress: Progress
+    head: HeadField,
+    bound: BoundField,
+    meshes: dict[Part, PartMesh],
+    options: MeshOptions,
+    sequence: Sequence[Gaze],
+    progress: Progress,
 ) -> dict[str, Scene]:
     """The rig and, where gazes are given, the sequence, by the names of their files."""
     progress("rig", 0, 1)
@@ -172,12 +186,17 @@ def _scenes(
     if face.textured is not None:
         texture = textured_node("face", face.textured, bound.metres_per_unit).texture
     surface = face.mesh if face.textured is None else face.textured.mesh
-    scenes = {"rig": rig(head, bound.gaze, surface, eyes.mesh, texture)}
+    plain = rig(head, bound.gaze, surface, eyes.mesh, texture)
+    scenes = {"rig": plain}
+    if face.threshold is not None and bound.gaze == Gaze():
+        scenes["rig"] = with_lids(head, plain, surface, face.threshold.level, progress)
+    if not options.clip:
+        scenes["rig"] = replace(scenes["rig"], clips=())
     if len(sequence):
         if face.threshold is None:
             raise UserError("a sequence follows a density; it needs --surface isosurface, or --sequence-files")
         level = face.threshold.level
-        scenes["sequence"] = sequence_scene(head, bound.gaze, scenes["rig"], sequence, surface, level, progress)
+        scenes["sequence"] = sequence_scene(head, bound.gaze, plain, sequence, surface, level, progress)
     return scenes
 
 
@@ -186,7 +205,12 @@ def _write_scene(
 ) -> tuple[Facts, dict[str, str]]:
     """Write a scene and its sidecar; what that says, and kind to file name."""
     files = {"glb": f"{name}.glb"}
-    (folder / files["glb"]).write_bytes(glb(scene.root, scene.clips))
+    (folder / files["glb"]).write_bytes(glb(scene.root, scene.clips, compressed=options.compress))
+    if name == "rig" and options.page:
+        files["html"] = "index.html"
+        data = glb(scene.root, scene.clips, compressed=True)
+        page = rig_page(data, bound.subject.name, PAGE_LINE)
+        (folder / files["html"]).write_text(page, encoding="utf-8")
     if name == "rig" and "usdz" in options.formats:
         files["usdz"] = "rig.usdz"
         (folder / files["usdz"]).write_bytes(usdz(scene.root, scene.clips))

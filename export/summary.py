@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gazenerf.export.formats.files import Facts, WrittenPart
+from gazenerf.export.part_mesh import PartMesh
 from gazenerf.export.pipeline import MeshReport
 from gazenerf.export.surface.coverage import NEAR_MM, Coverage
 
@@ -55,10 +56,17 @@ def _part_rows(part: str, written: WrittenPart) -> dict[str, object]:
     if (away := about.get("median_mm_from_the_head_model_in_the_face_crop")) is not None:
         rows[f"{part} crop"] = f"{away:.2f} mm median from the head model in the face crop"
     if threshold is not None:
-        rows[f"{part} queries"] = f"{extracted.queries:,} of {int(np.prod(extracted.grid)):,} grid points"
+        rows[f"{part} queries"] = _queries_line(extracted)
     if extracted.textured is not None:
         rows[f"{part} texture"] = _texture_line(about)
     return rows
+
+
+def _queries_line(extracted: PartMesh) -> str:
+    points = int(np.prod(extracted.grid))
+    if extracted.volume is None:
+        return f"{extracted.queries:,} of {points:,} grid points"
+    return f"{points:,}, the whole grid, and {extracted.queries - points:,} to find its box and the threshold"
 
 
 def _coverage_rows(part: str, found: Coverage) -> dict[str, object]:

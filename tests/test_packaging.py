@@ -45,6 +45,8 @@ def test_nothing_but_our_own_name_is_installed(built):
     assert {"gazenerf/viz/__init__.py", "gazenerf/export/pipeline.py", "gazenerf/__main__.py"} <= built["wheel"]
     assert any(name.startswith("gazenerf/viz/report/templates/") for name in built["wheel"])
     assert "gazenerf/assets/fields/portrait.safetensors" in built["wheel"]
+    assert {"gazenerf/assets/web/three.min.js", "gazenerf/assets/web/three.LICENSE"} <= built["wheel"]
+    assert {f"gazenerf/export/page/page.{kind}" for kind in ("html", "css", "js")} <= built["wheel"]
 
 
 def test_pages_and_examples_travel_with_the_source(built):

@@ -22,7 +22,7 @@ TEXTURE_GAZES = (
 )  # fmt: skip
 """Pitch and yaw, degrees, of the gazes that eyeballs are coloured from, one straight-on view each."""
 
-RINGS, SEGMENTS = 64, 96
+RINGS, SEGMENTS = 32, 48
 TEXTURE, PICTURE = 512, 512
 
 MARGIN = 16

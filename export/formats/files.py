@@ -15,7 +15,8 @@ from gazenerf import __version__
 from gazenerf.export.appearance.colours import vertex_colours
 from gazenerf.export.appearance.points import write_points
 from gazenerf.export.appearance.texture import TexturedMesh
-from gazenerf.export.formats.gltf import Node, Texture, glb
+from gazenerf.export.formats.gltf import glb
+from gazenerf.export.formats.nodes import Node, Texture
 from gazenerf.export.formats.obj import material, textured_obj
 from gazenerf.export.formats.usd import usdz
 from gazenerf.export.formats.volumes import write_volume
@@ -97,7 +98,7 @@ def write_part(
     for kind in formats:
         path = folder / f"{name}.{kind}"
         if kind == "glb":
-            path.write_bytes(glb(_node(extracted, mesh, metres, png)))
+            path.write_bytes(glb(_node(extracted, mesh, metres, png), compressed=options.compress))
         elif kind == "usdz":
             path.write_bytes(usdz(_node(extracted, mesh, metres, png)))
         elif kind == "ply":

@@ -12,103 +12,40 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import trimesh
 
 from gazenerf import __version__
 from gazenerf.export.appearance.colours import linear_from_srgb, vertex_colours
+from gazenerf.export.formats.nodes import IDENTITY, Animation, Node
+from gazenerf.export.formats.quantized import EXTENSIONS, signed, unsigned, webp
 
-FLOAT, UINT32, UINT16 = 5126, 5125, 5123
+FLOAT, UINT32, UINT16, INT16, INT8 = 5126, 5125, 5123, 5122, 5120
 VERTICES, INDICES = 34962, 34963
-IDENTITY = (0.0, 0.0, 0.0, 1.0)
 LINEAR, MIPMAPPED, CLAMPED = 9729, 9987, 33071
 
-
-@dataclass(frozen=True)
-class Texture:
-    """A base colour for a mesh.
-
-    Attributes:
-        uv: (V, 2) from the picture's upper left corner, v down.
-        png: The bytes of an sRGB PNG file.
-    """
-
-    uv: np.ndarray
-    png: bytes
-
-
-@dataclass(frozen=True)
-class Morph:
-    """A shape that a mesh can be blended into (a morph target).
-
-    Attributes:
-        name: Its name.
-        offsets: (V, 3) from the mesh's vertices, metres; mostly zero.
-        normals: (V, 3) change of the mesh's unit normals.
-    """
-
-    name: str
-    offsets: np.ndarray
-    normals: np.ndarray
-
-
-@dataclass(frozen=True)
-class Node:
-    """A node of a scene, metres.
-
-    Attributes:
-        name: Its name.
-        mesh: Geometry about the node's origin, None for a group.
-        texture: Base colour of the mesh; vertex colours are left out where it is given.
-        translation: (3,) of the node's origin in its parent.
-        rotation: Quaternion x, y, z, w.
-        roughness: Of the material; metallic is always 0.
-        children: Nodes below.
-        morphs: Shapes of the mesh, none of which is blended in at rest.
-    """
-
-    name: str
-    mesh: trimesh.Trimesh | None = None
-    translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    rotation: tuple[float, float, float, float] = IDENTITY
-    roughness: float = 0.8
-    children: tuple[Node, ...] = ()
-    texture: Texture | None = None
-    morphs: tuple[Morph, ...] = ()
-
-
-@dataclass(frozen=True)
-class Animation:
-    """Rotations of nodes and blends of their morphs over time.
-
-    Attributes:
-        name: Its name.
-        times: (T,) seconds, ascending.
-        rotations: Node name to (T, 4) quaternions x, y, z, w.
-        weights: Node name to (T, M) shares of its M morphs.
-    """
-
-    name: str
-    times: np.ndarray
-    rotations: dict[str, np.ndarray]
-    weights: dict[str, np.ndarray] = field(default_factory=dict)
+RESTART = 65_535
+"""The 16-bit index that no vertex may have."""
 
 
 @dataclass
 class _Writer:
     tree: dict[str, Any]
+    compressed: bool = False
     data: bytearray = field(default_factory=bytearray)
 
     def accessor(
         self, values: np.ndarray, component: int, kind: str, *, target: int | None = None, limits: bool = False,
-        normalized: bool = False,
+        normalized: bool = False, padded: bool = False,
     ) -> int:  # fmt: skip
-        """Append an array to the buffer; its accessor's index."""
+        """Append an array to the buffer, of a `padded` one all but the last column counts; its accessor's index."""
         entry: dict[str, Any] = {
             "bufferView": self.view(values.tobytes(), target),
             "componentType": component,
             "count": len(values),
             "type": kind,
         }
+        if padded:
+            self.tree["bufferViews"][-1]["byteStride"] = values[0].nbytes
+            values = values[:, :-1]
         if normalized:
             entry["normalized"] = True
         if limits:
@@ -153,31 +90,46 @@ class _Writer:
         """Append a picture and how it is looked up; its texture's index."""
         for key in ("images", "samplers", "textures"):
             self.tree.setdefault(key, [])
-        self.tree["images"].append({"name": name, "mimeType": "image/png", "bufferView": self.view(png)})
+        kind, data = ("image/webp", webp(png)) if self.compressed else ("image/png", png)
+        self.tree["images"].append({"name": name, "mimeType": kind, "bufferView": self.view(data)})
         if not self.tree["samplers"]:
             self.tree["samplers"].append(
                 {"magFilter": LINEAR, "minFilter": MIPMAPPED, "wrapS": CLAMPED, "wrapT": CLAMPED}
             )
-        self.tree["textures"].append({"sampler": 0, "source": len(self.tree["images"]) - 1})
+        source = {"source": len(self.tree["images"]) - 1}
+        if self.compressed:
+            source = {"extensions": {"EXT_texture_webp": source}}
+        self.tree["textures"].append({"sampler": 0, **source})
         return len(self.tree["textures"]) - 1
 
-    def mesh(self, node: Node) -> int:
-        """Append the mesh of a node; its index."""
+    def shape(self, vertices: np.ndarray, normals: np.ndarray) -> dict[str, int]:
+        """Append vertices (V, 3), compressed ones in [-1, 1], and unit normals (V, 3); attribute to accessor."""
+        kind, target = "VEC3", VERTICES
+        if not self.compressed:
+            return {
+                "POSITION": self.accessor(vertices.astype("<f4"), FLOAT, kind, target=target, limits=True),
+                "NORMAL": self.accessor(normals.astype("<f4"), FLOAT, kind, target=target),
+            }
+        places, directions = signed(vertices, "<i2"), signed(normals, "<i1")
+        return {
+            "POSITION": self.accessor(places, INT16, kind, target=target, limits=True, normalized=True, padded=True),
+            "NORMAL": self.accessor(directions, INT8, kind, target=target, normalized=True, padded=True),
+        }
+
+    def mesh(self, node: Node, scale: float) -> int:
+        """Append the mesh of a node, whose vertices are divided by `scale`; its index."""
         mesh, name, texture = node.mesh, node.name, node.texture
         assert mesh is not None
         normals = np.asarray(mesh.vertex_normals, dtype=np.float64)
         normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-        attributes = {
-            "POSITION": self.accessor(
-                np.asarray(mesh.vertices, dtype="<f4"), FLOAT, "VEC3", target=VERTICES, limits=True
-            ),
-            "NORMAL": self.accessor(normals.astype("<f4"), FLOAT, "VEC3", target=VERTICES),
-        }
+        attributes = self.shape(np.asarray(mesh.vertices) / scale, normals)
         look: dict[str, Any] = {"metallicFactor": 0.0, "roughnessFactor": node.roughness}
         colours = vertex_colours(mesh)
         if texture is not None:
-            uv = np.asarray(texture.uv, dtype="<f4")
-            attributes["TEXCOORD_0"] = self.accessor(uv, FLOAT, "VEC2", target=VERTICES)
+            uv, component = np.asarray(texture.uv, dtype="<f4"), FLOAT
+            if self.compressed:
+                uv, component = unsigned(uv, "<u2"), UINT16
+            attributes["TEXCOORD_0"] = self.accessor(uv, component, "VEC2", target=VERTICES, normalized=self.compressed)
             look["baseColorTexture"] = {"index": self.texture(texture.png, name)}
         elif colours is not None:
             rgba = np.ones((len(colours), 4))
@@ -185,14 +137,15 @@ class _Writer:
             attributes["COLOR_0"] = self.accessor(
                 np.round(65535.0 * rgba).astype("<u2"), UINT16, "VEC4", target=VERTICES, normalized=True
             )
-        indices = self.accessor(np.asarray(mesh.faces, dtype="<u4").reshape(-1), UINT32, "SCALAR", target=INDICES)
+        width, component = ("<u2", UINT16) if len(mesh.vertices) < RESTART else ("<u4", UINT32)
+        indices = self.accessor(np.asarray(mesh.faces, dtype=width).reshape(-1), component, "SCALAR", target=INDICES)
         self.tree["materials"].append({"name": name, "pbrMetallicRoughness": look})
         primitive = {"attributes": attributes, "indices": indices, "material": len(self.tree["materials"]) - 1}
         entry: dict[str, Any] = {"name": name, "primitives": [primitive]}
         if node.morphs:
             primitive["targets"] = [
                 {
-                    "POSITION": self.sparse(morph.offsets.astype("<f4")),
+                    "POSITION": self.sparse((morph.offsets / scale).astype("<f4")),
                     "NORMAL": self.sparse(morph.normals.astype("<f4")),
                 }
                 for morph in node.morphs
@@ -208,11 +161,16 @@ class _Writer:
         """Append a node and those below; its index."""
         entry: dict[str, Any] = {"name": node.name}
         if node.mesh is not None:
-            entry["mesh"] = self.mesh(node)
+            scale = float(np.abs(node.mesh.vertices).max()) if self.compressed else 1.0
+            entry["mesh"] = self.mesh(node, scale)
+            if self.compressed:
+                entry["scale"] = [scale] * 3
         if any(node.translation):
             entry["translation"] = [float(value) for value in node.translation]
         if tuple(node.rotation) != IDENTITY:
             entry["rotation"] = [float(value) for value in node.rotation]
+        if node.extras:
+            entry["extras"] = node.extras
         if node.children:
             entry["children"] = [self.node(child) for child in node.children]
         self.tree["nodes"].append(entry)
@@ -234,12 +192,15 @@ class _Writer:
         return entry
 
 
-def glb(root: Node, animations: tuple[Animation, ...] = ()) -> bytes:
+def glb(root: Node, animations: tuple[Animation, ...] = (), *, compressed: bool = False) -> bytes:
     """A scene as the bytes of a .glb file.
 
     Args:
         root: The scene's only root.
         animations: Clips; they name nodes under `root`.
+        compressed: Write 16-bit positions about each node's origin, 8-bit normals and WebP textures
+            (KHR_mesh_quantization, EXT_texture_webp). Nodes with a mesh get a uniform scale, so they must have no
+            children.
 
     Raises:
         ValueError: a clip names a node that is not there.
@@ -250,11 +211,15 @@ def glb(root: Node, animations: tuple[Animation, ...] = ()) -> bytes:
             "scene": 0,
             "scenes": [{}],
             **{key: [] for key in ("nodes", "meshes", "materials", "accessors", "bufferViews")},
-        }
+        },
+        compressed,
     )
     writer.tree["scenes"][0]["nodes"] = [writer.node(root)]
     if animations:
         writer.tree["animations"] = [writer.animation(animation) for animation in animations]
+    if compressed:
+        names = [name for name in EXTENSIONS if name != "EXT_texture_webp" or "textures" in writer.tree]
+        writer.tree |= {"extensionsUsed": names, "extensionsRequired": names}
     writer.data.extend(b"\0" * (-len(writer.data) % 4))
     writer.tree["buffers"] = [{"byteLength": len(writer.data)}]
     text = json.dumps(writer.tree, separators=(",", ":")).encode()

@@ -11,7 +11,7 @@ import numpy as np
 
 from gazenerf.errors import UserError
 from gazenerf.export.appearance.colours import linear_from_srgb, vertex_colours
-from gazenerf.export.formats.gltf import Animation, Node
+from gazenerf.export.formats.nodes import Animation, Node
 
 RATE = 24.0
 """Time codes a second."""

@@ -12,9 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from gazenerf.export.appearance.eyeball_texture import textured_eyeball
 from gazenerf.export.formats.files import in_metres, textured_node
-from gazenerf.export.formats.gltf import Animation, Node, Texture
+from gazenerf.export.formats.nodes import Animation, Node, Texture
 from gazenerf.export.mesh.sphere_fit import Eyeball, fit_eyeballs
 from gazenerf.geometry import Gaze
+from gazenerf.geometry.paths import GazeRange
 from gazenerf.head_model import ReferenceHead
 from gazenerf.heads.interface import HeadField
 
@@ -86,10 +87,29 @@ def rig(
                 "head_model_radius_mm": known.eye_radius * metres * 1000.0,
                 "centre_distance_mm": float(np.linalg.norm(eye.centre - known.eye_centres[i]) * metres * 1000.0),
             }
-    root = Node("head", children=(Node("face", in_metres(face, metres), texture=texture), *nodes))
+    table = gaze_table(head)
+    root = Node(
+        "head", children=(Node("face", in_metres(face, metres), texture=texture), *nodes), extras={"gaze": table}
+    )
+    facts["gaze"] = table
     keys = [Gaze.from_degrees(*angles) for angles in SWEEP]
     clip = eyes_clip("gaze sweep", keys, np.arange(len(keys), dtype=np.float64))
     return Scene(root, (clip,), facts, fitted)
+
+
+def gaze_table(head: HeadField) -> dict[str, Any]:
+    """What turns the eyes of a rig, for programs that read it: `extras.gaze` of the node `head`.
+
+    `range_degrees` is how far the gaze goes either way; `trained` says whether these are the gazes that the field was
+    trained on, or usual ones where it does not say.
+    """
+    limits = head.trained_range or GazeRange()
+    return {
+        "eyes": ["eye_left", "eye_right"],
+        "rotation": "Ry(yaw) Rx(-pitch)",
+        "range_degrees": {"pitch": float(np.rad2deg(limits.pitch)), "yaw": float(np.rad2deg(limits.yaw))},
+        "trained": head.trained_range is not None,
+    }
 
 
 def eyes_clip(name: str, gazes: Sequence[Gaze], times: np.ndarray) -> Animation:

@@ -12,7 +12,7 @@ from scipy import sparse
 
 from gazenerf.devices import points_at_once
 from gazenerf.errors import UserError
-from gazenerf.export.formats.gltf import Morph
+from gazenerf.export.formats.nodes import Morph
 from gazenerf.export.mesh.sphere_fit import Eyeball
 from gazenerf.export.scenes.rig import Scene, eyes_clip
 from gazenerf.geometry import Gaze

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import sys
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,13 +16,22 @@ from rich.table import Table
 
 from gazenerf.progress import Progress
 
+PROGRESS_VARIABLE = "GAZENERF_PROGRESS"
+
+LINE_SECONDS = 0.3
+
 
 @contextmanager
 def showing_progress(show: bool = True) -> Iterator[Progress]:
     """A progress line on standard error, with rate and time left; quiet when nobody watches or unless `show`.
 
-    A new stage starts the line anew; what follows a comma in its name is a note that may change.
+    A new stage starts the line anew; what follows a comma in its name is a note that may change. Where the environment
+    variable `GAZENERF_PROGRESS` is `lines`, every step that is told at least `LINE_SECONDS` after the one before is a
+    line `progress: STAGE DONE/TOTAL` instead, for programs that run commands.
     """
+    if show and os.environ.get(PROGRESS_VARIABLE) == "lines":
+        yield _line_teller()
+        return
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -46,6 +57,19 @@ def showing_progress(show: bool = True) -> Iterator[Progress]:
             bar.update(task, rate="" if speed is None else f"{speed:.2f}/s")
 
         yield tell
+
+
+def _line_teller() -> Progress:
+    last = float("-inf")
+
+    def tell(stage: str, done: int, total: int, /) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if now - last >= LINE_SECONDS:
+            last = now
+            print(f"progress: {' '.join(stage.split())} {done}/{total}", file=sys.stderr, flush=True)
+
+    return tell
 
 
 def warn(text: str) -> None:

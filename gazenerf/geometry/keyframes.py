@@ -74,19 +74,33 @@ def read_keyframes(path: str | Path, fov: float = NEUTRAL_FOV) -> tuple[list[Key
     """
     path = Path(path)
     data = read_json(path, MAX_BYTES, absent="give a JSON file of keyframes", large="no path needs so much")
+    return keyframes_of(data, str(path), fov)
+
+
+def keyframes_of(data: Any, source: str, fov: float = NEUTRAL_FOV) -> tuple[list[Keyframe], bool]:
+    """The keys that a keyframe file holds, and whether they close into a loop.
+
+    Args:
+        data: The file's JSON.
+        source: What messages call it.
+        fov: Field of view of the keys that give none, radians.
+
+    Raises:
+        UserError: a key that places no camera, or too few of them; the message names the key.
+    """
     keys = data.get("keyframes") if isinstance(data, dict) else data
     if not isinstance(keys, list) or not 2 <= len(keys) <= MOST_KEYS:
-        raise UserError(f'{path} needs a list "keyframes" of 2 to {MOST_KEYS} cameras')
+        raise UserError(f'{source} needs a list "keyframes" of 2 to {MOST_KEYS} cameras')
     parsed = []
     for index, key in enumerate(keys):
         try:
             parsed.append(_parse(key, index, fov))
         except (KeyError, TypeError, ValueError) as error:
             raise UserError(
-                f"keyframe {index} of {path}: {error}; give yaw and pitch, or position, or world_from_camera"
+                f"keyframe {index} of {source}: {error}; give yaw and pitch, or position, or world_from_camera"
             ) from error
     if any(b.time <= a.time for a, b in pairwise(parsed)):
-        raise UserError(f"{path}: the times of the keyframes must increase")
+        raise UserError(f"{source}: the times of the keyframes must increase")
     return parsed, bool(data.get("loop", True)) if isinstance(data, dict) else True
 
 

@@ -31,6 +31,8 @@ from gazenerf.heads.interface import OPACITY_FLOOR, GeometryView, Part, Rendered
 from gazenerf.heads.lattice import Band, DensityLattice
 from gazenerf.heads.occupancy import Occupancy
 from gazenerf.heads.render import composite_near
+from gazenerf.progress import Progress, counted, silent
+from gazenerf.workers import workers_for
 
 FAINT = 1e-3
 """Samples of less weight are left out; the others share theirs."""
@@ -126,8 +128,13 @@ class Bake:
     report: BakeReport
 
 
-def bake(head: Head, gaze: Gaze) -> BakedHead:
+def bake(head: Head, gaze: Gaze, progress: Progress = silent) -> BakedHead:
     """Bake a head at a gaze.
+
+    Args:
+        head: Sampled around its surface.
+        gaze: Of the face; the eyes turn.
+        progress: Told how many parts of the surface are done; what it raises ends the bake.
 
     Raises:
         UserError: the field cannot be baked: not sampled around a surface, merged after compositing, or
@@ -143,7 +150,10 @@ def bake(head: Head, gaze: Gaze) -> BakedHead:
         band = head.surface_band(("face", "eyes"))
         if band is None:
             raise UserError("the density of this field is nearly everywhere; there is no surface to bake")
-        found = head.in_chunks(bound.features, band.points, 4)
+        found = []
+        parts = band.points.split(max(1, head.chunk) * workers_for(head.device))
+        for points in counted(parts, progress, "bake", len(parts)):
+            found += head.in_chunks(bound.features, points, 4)
         density = DensityLattice(band, torch.cat([item[0] for item in found]))
         features = FeatureLattice(band, torch.cat([item[1] for item in found]))
     report = BakeReport(time.perf_counter() - started, len(band.vertices), density.nbytes + features.nbytes, gaze)

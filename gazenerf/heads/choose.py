@@ -14,6 +14,7 @@ from gazenerf.heads.baked import BakedBoundHead, BakeReport, bake
 from gazenerf.heads.head import Head
 from gazenerf.heads.interface import HeadField
 from gazenerf.image_metrics import psnr
+from gazenerf.progress import Progress, counted, silent
 
 SPEEDS = ("auto", "baked", "guided", "exact")
 """`exact` computes every sample, `guided` those around the surface, `baked` interpolates; `auto` chooses."""
@@ -67,6 +68,7 @@ def choose_path(
     gazes: Sequence[Gaze],
     speed: str = "auto",
     least_psnr: float = LEAST_PSNR,
+    progress: Progress = silent,
 ) -> RenderPath:
     """How to render an orbit around a head.
 
@@ -78,6 +80,7 @@ def choose_path(
         cameras, gazes: One per frame.
         speed: One of `SPEEDS`.
         least_psnr: Agreement (dB) below which a bake is not used.
+        progress: Told how far the bake and its check are; what it raises ends both.
 
     Raises:
         UserError: unknown speed.
@@ -95,12 +98,13 @@ def choose_path(
         return RenderPath(own, head)
     guided = head.with_sampler("guided")
     try:
-        baked = bake(guided, bake_gaze(gazes))
+        baked = bake(guided, bake_gaze(gazes), progress)
     except UserError as error:
         return RenderPath(own, head, note=f"not baked: {error}; drawn by the {own} path")
     started = time.perf_counter()
     sampled = np.linspace(0, len(cameras) - 1, SAMPLED).round().astype(int)
-    worst = min(_agreement(baked.at(gazes[number]), cameras[number]) for number in sampled)
+    numbers = counted(sampled, progress, "bake against the field", SAMPLED)
+    worst = min(_agreement(baked.at(gazes[number]), cameras[number]) for number in numbers)
     seconds = time.perf_counter() - started
     if worst < least_psnr:
         note = (

@@ -11,6 +11,7 @@ from gazenerf.cli.libraries import missing_library
 from gazenerf.cli.parser import add_options, parsed
 from gazenerf.errors import UserError
 from gazenerf.geometry import Gaze
+from gazenerf.viz.viewer.jobs import PROGRESS
 
 
 def gaze_of(*words: str) -> Gaze:
@@ -47,6 +48,16 @@ def test_progress_is_silent_when_nobody_watches(capsys):
         progress("more", 1, 1)
     captured = capsys.readouterr()
     assert captured.out == captured.err == ""
+
+
+def test_progress_is_lines_for_programs_that_ask_for_them(capsys, monkeypatch):
+    monkeypatch.setenv("GAZENERF_PROGRESS", "lines")
+    with common.showing_progress() as progress:
+        for done in range(200):
+            progress("working, 3 left", done + 1, 200)
+    captured = capsys.readouterr()
+    assert captured.err == "progress: working, 3 left 1/200\n" and captured.out == "", "not one for every step"
+    assert PROGRESS.fullmatch(captured.err.strip())[1] == "working, 3 left"
 
 
 @pytest.mark.parametrize(

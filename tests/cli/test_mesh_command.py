@@ -45,7 +45,7 @@ def test_web_writes_textured_parts_and_a_rig(analytic, tmp_path, capsys):
     words = ["--resolution", "48", "--threshold", "100", "--max-faces", "3000"]
     assert main(["mesh", "--out", str(tmp_path), "--for", "web", *words]) == 0
     written = {path.name for path in tmp_path.iterdir()}
-    assert written == {"face.glb", "face.json", "eyes.glb", "eyes.json", "rig.glb", "rig.json"}
+    assert written == {"face.glb", "face.json", "eyes.glb", "eyes.json", "rig.glb", "rig.json", "index.html"}
     assert "face texture" in capsys.readouterr().out
     face = trimesh.load(tmp_path / "face.glb", force="mesh", process=False)
     assert face.visual.material.baseColorTexture.size == (1024, 1024)
@@ -54,10 +54,11 @@ def test_web_writes_textured_parts_and_a_rig(analytic, tmp_path, capsys):
 
 def test_a_preset_s_rig_can_be_left_out():
     asked = [
-        options_of("--for", "web", *words).rig
-        for words in ([], ["--no-rig"], ["--parts", "face"], ["--parts", "face", "--rig"])
+        options_of("--for", "web", *words)
+        for words in ([], ["--no-rig"], ["--no-page"], ["--parts", "face"], ["--parts", "face", "--rig"])
     ]
-    assert asked == [True, False, False, True]
+    assert [options.rig for options in asked] == [True, False, True, False, True]
+    assert [options.page for options in asked] == [True, False, False, False, False]
 
 
 def test_print_is_one_closed_solid_in_millimetres(analytic, tmp_path):

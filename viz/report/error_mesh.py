@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gazenerf.export.appearance.colours import with_vertex_colours
 from gazenerf.export.formats.files import common_facts, in_metres
-from gazenerf.export.formats.gltf import Node, glb
-from gazenerf.export.mesh.triangles import to_pyvista
+from gazenerf.export.formats.gltf import glb
+from gazenerf.export.formats.nodes import Node
 from gazenerf.export.surface.density_surface import density_surface
 from gazenerf.export.surface.isosurface import METHODS
 from gazenerf.head_model import HeadMesh
 from gazenerf.heads.interface import BoundField
 from gazenerf.progress import Progress, silent
-from gazenerf.viz.report.heatmaps import signed_colours
+from gazenerf.viz.pictures.surface_colours import GIVE_UP_MM, LIMIT_MM, coloured_by_distance, outward_mm
 
 if TYPE_CHECKING:
     import trimesh
@@ -25,14 +24,6 @@ if TYPE_CHECKING:
 FILE = "error.glb"
 RESOLUTION = 128
 """Grid points along the longest side of the field's surface."""
-
-GIVE_UP_MM = 15.0
-"""Vertices farther than this from the other surface are not compared and are grey."""
-
-LIMIT_MM = 3.0
-"""Distances beyond this take the end colours."""
-
-GREY = np.array([120, 120, 124], np.uint8)
 
 BESIDE_M = 0.3
 """Metres by which the reference stands to the subject's left of the field in the file."""
@@ -100,25 +91,10 @@ def error_mesh(
     )
     field = surface.mesh
     reference = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-    mm = 1000.0 * bound.metres_per_unit
-    out = mm * signed_distance(np.asarray(field.vertices), reference)
-    back = -mm * signed_distance(np.asarray(reference.vertices), field)
-    out, back = (np.where(np.abs(values) > GIVE_UP_MM, np.nan, values) for values in (out, back))
+    out = outward_mm(np.asarray(field.vertices), reference, bound.metres_per_unit)
+    back = -outward_mm(np.asarray(reference.vertices), field, bound.metres_per_unit)
     level = surface.threshold.level if surface.threshold else float("nan")
-    return ErrorMesh(_coloured(field, out), _coloured(reference, back), out, back, level)
-
-
-def signed_distance(points: np.ndarray, surface: trimesh.Trimesh) -> np.ndarray:
-    """(N,) distance of points (N, 3) from a surface, positive on the side its normals point to.
-
-    The surface may be open: the sign is that of the nearest point's pseudonormal (Baerentzen and Aanaes 2005), where a
-    facet's normal would be wrong at edges.
-    """
-    import pyvista as pv
-
-    cloud = pv.PolyData(np.ascontiguousarray(points, dtype=np.float64))
-    found = cloud.compute_implicit_distance(to_pyvista(surface))
-    return np.asarray(found["implicit_distance"])
+    return ErrorMesh(coloured_by_distance(field, out), coloured_by_distance(reference, back), out, back, level)
 
 
 def write_error_mesh(error: ErrorMesh, bound: BoundField, folder: Path) -> dict[str, Any]:
@@ -133,9 +109,3 @@ def write_error_mesh(error: ErrorMesh, bound: BoundField, folder: Path) -> dict[
     )
     (folder / FILE).write_bytes(glb(nodes))
     return {"file": FILE, **error.facts(), **{k: v for k, v in common_facts(bound).items() if k in ("units", "frame")}}
-
-
-def _coloured(mesh: trimesh.Trimesh, outward_mm: np.ndarray) -> trimesh.Trimesh:
-    colours = signed_colours(-outward_mm, LIMIT_MM)
-    colours[~np.isfinite(outward_mm)] = GREY
-    return with_vertex_colours(mesh, colours)

@@ -6,21 +6,10 @@ import numpy as np
 
 from gazenerf.viz.metrics.agreement import DepthView, depth_difference_mm, eroded
 from gazenerf.viz.pictures.colormaps import to_uint8
+from gazenerf.viz.pictures.surface_colours import FARTHER, NEARER, signed_colours
 
-NOTHING = np.array([38, 38, 42], np.uint8)
-NEARER, FARTHER = np.array([33, 102, 172], np.uint8), np.array([178, 24, 43], np.uint8)
 LIMIT_MM = 10.0
 """Depth differences beyond this take the end colours."""
-
-
-def signed_colours(values: np.ndarray, limit: float) -> np.ndarray:
-    """(H, W) signed values to (H, W, 3) uint8: blue nearer, white equal, red farther, dark where NaN."""
-    share = np.clip(np.nan_to_num(values) / limit, -1.0, 1.0)[..., None]
-    white = np.full(3, 247.0)
-    end = np.where(share > 0, FARTHER, NEARER).astype(np.float64)
-    out = np.round(white + (end - white) * np.abs(share)).astype(np.uint8)
-    out[~np.isfinite(values)] = NOTHING
-    return out
 
 
 def depth_difference_picture(
@@ -28,11 +17,6 @@ def depth_difference_picture(
 ) -> np.ndarray:
     """Signed depth difference, (H, W, 3) uint8; `colour_bar` is its key."""
     return signed_colours(depth_difference_mm(view, reference, metres_per_unit), limit_mm)
-
-
-def colour_bar(width: int = 256, height: int = 12) -> np.ndarray:
-    """(height, width, 3) uint8 the colours from minus to plus the limit."""
-    return signed_colours(np.linspace(-1.0, 1.0, width)[None].repeat(height, axis=0), 1.0)
 
 
 def silhouette_picture(view: DepthView, reference: DepthView, image: np.ndarray | None = None) -> np.ndarray:

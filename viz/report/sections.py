@@ -10,9 +10,10 @@ import numpy as np
 
 from gazenerf.viz.check.result import CheckResult
 from gazenerf.viz.metrics.pairs import PairReading
+from gazenerf.viz.pictures.surface_colours import GIVE_UP_MM
+from gazenerf.viz.pictures.surface_colours import LIMIT_MM as MESH_LIMIT_MM
 from gazenerf.viz.report.blocks import Block, Fold, Gallery, Picture, Section, Table, Text
-from gazenerf.viz.report.error_mesh import BESIDE_M, FILE, GIVE_UP_MM
-from gazenerf.viz.report.error_mesh import LIMIT_MM as MESH_LIMIT_MM
+from gazenerf.viz.report.error_mesh import BESIDE_M, FILE
 from gazenerf.viz.report.page import photograph
 from gazenerf.viz.report.plots import scatter
 from gazenerf.viz.report.readable import UNMEASURED, degrees, number

@@ -7,8 +7,9 @@ from PIL import Image
 
 from gazenerf.viz.check.result import CheckedView, CheckResult
 from gazenerf.viz.pictures.colormaps import colour_depth, colour_normals, to_uint8
+from gazenerf.viz.pictures.surface_colours import colour_bar
 from gazenerf.viz.report.blocks import Block, Fold, Gallery, Group, Key, Picture, Section, Slider, Text
-from gazenerf.viz.report.heatmaps import colour_bar, depth_difference_picture, silhouette_picture
+from gazenerf.viz.report.heatmaps import depth_difference_picture, silhouette_picture
 from gazenerf.viz.report.page import chart, photograph
 from gazenerf.viz.report.plots import bars
 from gazenerf.viz.report.readable import degrees, number

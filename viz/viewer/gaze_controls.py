@@ -10,6 +10,7 @@ import viser
 
 from gazenerf.geometry import Gaze
 from gazenerf.geometry.paths import GazeRange
+from gazenerf.viz.viewer.gaze_pad_controls import GazePad
 from gazenerf.viz.viewer.gazes import MODES, GazeChoice
 from gazenerf.viz.viewer.scene import Scene
 
@@ -43,6 +44,7 @@ class GazeControls:
         self.point = server.scene.add_transform_controls(
             "/point", scale=0.8, disable_rotations=True, depth_test=False, position=(x, y, z), visible=False
         )
+        self.pad = GazePad(server, scene, limits, self.turn_to)
         self.mode.on_update(lambda event: self._choose())
         self.pitch.on_update(lambda event: self._turn())
         self.yaw.on_update(lambda event: self._turn())

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from gazenerf.geometry import Camera
+from gazenerf.geometry.keyframes import Keyframe, keyframe_path, keyframes_of
 from gazenerf.viz.viewer.viewpoint import Viewpoint
 
 LEVEL = 1e-3
@@ -65,6 +66,15 @@ class Keyframes:
         """Forget all."""
         with self._lock:
             self._keys.clear()
+
+    def path(self, frames: int) -> tuple[list[Keyframe], list[Camera]]:
+        """The keys, and cameras along the path that `gazenerf orbit` takes through them, back to the first one.
+
+        Raises:
+            UserError: fewer than two keys, or neighbours that turn by half a turn.
+        """
+        keys, loop = keyframes_of(json.loads(self.text()), "this path")
+        return keys, keyframe_path(keys, frames, loop=loop)
 
     def text(self, loop: bool = True) -> str:
         """The keyframe file (docs/orbits.md)."""

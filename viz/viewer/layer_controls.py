@@ -9,6 +9,7 @@ import viser
 
 from gazenerf.geometry import Gaze
 from gazenerf.heads.interface import Part
+from gazenerf.viz.viewer.distances import Distances
 from gazenerf.viz.viewer.meshes import Extraction, OverlayMesh
 from gazenerf.viz.viewer.paths import Paths
 from gazenerf.viz.viewer.scene import LAYERS, Scene
@@ -60,6 +61,7 @@ class LayerControls:
         layers = tuple(name for name in LAYERS if name not in ("face", "eyes") or name in parts)
         self.layer = server.gui.add_dropdown("Layer", layers, initial_value=scene.state.layer)
         self.rays = server.gui.add_checkbox("Gaze rays", False)
+        self.axes = server.gui.add_checkbox("Eyeball axes", False, hint="x red, y green, z blue, which is the gaze")
         self._looks: dict[str, tuple[viser.GuiCheckboxHandle, viser.GuiCheckboxHandle, viser.GuiSliderHandle]] = {}
         for name in ("reference", "face", "eyes"):
             if name == "reference" or name in parts:
@@ -71,6 +73,7 @@ class LayerControls:
         self._extraction = Extraction(self._extracted, self._tell, notify)
         self.layer.on_update(lambda event: self._choose())
         self.rays.on_update(lambda event: changed())
+        self.axes.on_update(lambda event: changed())
         self.extract.on_click(lambda event: self._extract())
 
     def look(self, name: str) -> MeshLook:
@@ -93,6 +96,8 @@ class LayerControls:
             shown = self._server.gui.add_checkbox("Show", name != "reference")
             wireframe = self._server.gui.add_checkbox("Wireframe", False)
             opacity = self._server.gui.add_slider("Opacity", 0.0, 1.0, 0.05, 0.6)
+            if name == "face":
+                self.distances = Distances(self._server, lambda: self._relook("face"))
         self._looks[name] = shown, wireframe, opacity
         for handle in (shown, wireframe, opacity):
             handle.on_update(lambda event: self._relook(name))
@@ -106,7 +111,8 @@ class LayerControls:
             self._changed()
         elif (mesh := self._meshes.get(name)) is not None:
             look = self.look(name)
-            mesh.visible, mesh.wireframe, mesh.opacity = look.shown, look.wireframe, look.glass
+            coloured = name == "face" and self.distances.follow(look.shown)
+            mesh.visible, mesh.wireframe, mesh.opacity = look.shown and not coloured, look.wireframe, look.glass
 
     def _extract(self) -> None:
         state = self._scene.state
@@ -116,6 +122,9 @@ class LayerControls:
     def _extracted(self, part: Part, mesh: OverlayMesh) -> None:
         look = self.look(part)
         self._meshes[part] = add_mesh(self._server.scene, f"/{part}", mesh, COLOURS[part], look)
+        if part == "face":
+            self.distances.take(mesh)
+            self._relook("face")
         self.progress.content = f"{part}: {len(mesh.faces):,} triangles"
 
     def _tell(self, stage: str, done: int, total: int, /) -> None:

@@ -8,14 +8,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import trimesh
 
 from gazenerf.errors import UserError
 from gazenerf.export import MeshOptions, extract_part
 from gazenerf.geometry import Gaze
 from gazenerf.head_model import ReferenceHead
+from gazenerf.head_model.interface import FACE
 from gazenerf.heads.interface import HeadField, Part
 from gazenerf.progress import Progress
 from gazenerf.subjects import Subject
+from gazenerf.viz.pictures.surface_colours import outward_mm
 
 RESOLUTION = 96
 """Grid points along the longest side: enough to hold over a picture, and soon there."""
@@ -28,10 +31,13 @@ class OverlayMesh:
     Attributes:
         vertices: (V, 3) float32.
         faces: (F, 3) int32.
+        outward_mm: (V,) how far each vertex stands out of the subject's reference head, millimetres; NaN where they
+            are too far apart to be compared, None where there is no reference.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
+    outward_mm: np.ndarray | None = None
 
 
 def reference_mesh(subject: Subject, gaze: Gaze) -> OverlayMesh | None:
@@ -44,14 +50,20 @@ def reference_mesh(subject: Subject, gaze: Gaze) -> OverlayMesh | None:
 
 
 def part_mesh(head: HeadField, part: Part, gaze: Gaze, progress: Progress) -> OverlayMesh:
-    """The surface of one part of a head, uncoloured.
+    """The surface of one part of a head, uncoloured; the face's with its distances from the reference head.
 
     Raises:
         UserError: the part is empty, or the field does not have it.
     """
     options = MeshOptions(parts=(part,), resolution=RESOLUTION, colours=False)
-    mesh = extract_part(head.at(gaze), part, options, progress=progress).mesh
-    return OverlayMesh(np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.int32))
+    bound = head.at(gaze)
+    mesh = extract_part(bound, part, options, progress=progress).mesh
+    reference, outward = ReferenceHead.of(head.subject), None
+    if part == "face" and reference is not None:
+        known = reference.at(gaze)
+        surface = trimesh.Trimesh(known.vertices, known.part_faces(FACE), process=False)
+        outward = outward_mm(np.asarray(mesh.vertices), surface, bound.metres_per_unit)
+    return OverlayMesh(np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.int32), outward)
 
 
 class Extraction:

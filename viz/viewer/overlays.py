@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import viser
+from scipy.spatial.transform import Rotation
 
 from gazenerf.geometry import Gaze
 from gazenerf.head_model import ReferenceHead
@@ -13,6 +14,9 @@ from gazenerf.viz.viewer.meshes import reference_mesh
 
 RAY_LENGTH = 3.0
 """World units."""
+
+AXES = 0.45
+"""World units, a little more than three radii of an eyeball."""
 
 RAY_COLOUR = (255, 60, 60)
 
@@ -31,10 +35,13 @@ class Overlays:
         self._mesh: viser.MeshHandle | None = None
         self._mesh_of: tuple[int, Gaze, MeshLook] | None = None
         self._rays_of: tuple[int, Gaze] | None = None
+        self._axes: list[viser.FrameHandle] = []
+        self._axes_of: tuple[int, Gaze] | None = None
 
     def follow(self, subject: Subject, gaze: Gaze, full: bool) -> None:
-        """Show the rays and, with full pictures only, since it is large, the reference head at a gaze (head frame)."""
+        """Show rays, axes and, with full pictures only (it is large), the reference head at a gaze (head frame)."""
         self._follow_rays(subject, gaze)
+        self._follow_axes(subject, gaze)
         look = self._controls.look("reference")
         if not look.shown:
             if self._mesh is not None:
@@ -45,6 +52,19 @@ class Overlays:
             if mesh is not None:
                 self._mesh = add_mesh(self._scene, "/reference", mesh, COLOURS["reference"], look)
             self._mesh_of = wanted
+
+    def _follow_axes(self, subject: Subject, gaze: Gaze) -> None:
+        if not self._controls.axes.value:
+            for axes in self._axes:
+                axes.remove()
+            self._axes, self._axes_of = [], None
+        elif (wanted := (id(subject), gaze)) != self._axes_of and (rays := gaze_rays(subject, gaze)) is not None:
+            turn = Rotation.from_matrix(gaze.rotation()).as_quat(scalar_first=True)
+            self._axes = [
+                self._scene.add_frame(f"/axes/{side}", axes_length=AXES, axes_radius=AXES / 25, wxyz=turn, position=eye)
+                for side, eye in zip(("left", "right"), rays[:, 0], strict=True)
+            ]
+            self._axes_of = wanted
 
     def _follow_rays(self, subject: Subject, gaze: Gaze) -> None:
         if not self._controls.rays.value:

@@ -13,6 +13,7 @@ from gazenerf.geometry import Camera, Gaze
 from gazenerf.heads import Head
 from gazenerf.heads.choose import RenderPath, choose_path
 from gazenerf.heads.interface import HeadField
+from gazenerf.progress import Progress
 from gazenerf.subjects import Subject
 
 SETTLES = 0.5
@@ -20,6 +21,10 @@ SETTLES = 0.5
 
 CHECKED_SIZE = 192
 """Pixels of the views in which a bake is held against the guided path."""
+
+
+class Unwanted(Exception):
+    """The bake that runs is wanted no more: another subject came, or the end."""
 
 
 KEPT = 3
@@ -93,7 +98,7 @@ class Paths:
         self._condition.notify_all()
 
     def close(self) -> None:
-        """End the thread; a bake that runs is waited for."""
+        """End the thread; of a bake that runs, the step is waited for."""
         with self._condition:
             self._closed = True
             self._condition.notify_all()
@@ -103,8 +108,20 @@ class Paths:
         while (head := self._next()) is not None:
             if isinstance(head, Head) and head.sparse:
                 self._found(head, Drawer(head, head, False, "sampled around the surface; baking"))
-            path = _path(head)
+            try:
+                path = _path(head, self._wanted(head))
+            except Unwanted:
+                continue
             self._found(head, Drawer(path.head, path.head, True, path.note or path.describe()))
+
+    def _wanted(self, head: HeadField) -> Progress:
+        """Raises `Unwanted` at the next step of a bake once another head is the present one, or at the end."""
+
+        def told(stage: str, done: int, total: int, /) -> None:
+            if self._closed or head is not self._head:
+                raise Unwanted
+
+        return told
 
     def _found(self, head: HeadField, drawer: Drawer) -> None:
         """Take a better way to draw a head, where that is still the present one, and tell of it."""
@@ -147,7 +164,7 @@ def head_of(head: HeadField, subject: Subject) -> HeadField:
     return Head(head.field, subject, sampler=head.sampler, precision=head.precision)
 
 
-def _path(head: HeadField) -> RenderPath:
+def _path(head: HeadField, progress: Progress) -> RenderPath:
     """How the head is drawn from any side at any gaze; its own path where it cannot be baked."""
     limits = head.trained_range
     pitch, yaw = (0.0, 0.0) if limits is None else (0.5 * limits.pitch, 0.5 * limits.yaw)
@@ -155,6 +172,6 @@ def _path(head: HeadField) -> RenderPath:
     cameras = [Camera.orbit(float(np.deg2rad(angle)), size=CHECKED_SIZE) for angle in (-45.0, 0.0, 45.0)]
     own = isinstance(head, Head) and head.sampler != "guided"
     try:
-        return choose_path(head, cameras, gazes, "auto" if own else "baked")
+        return choose_path(head, cameras, gazes, "auto" if own else "baked", progress=progress)
     except (UserError, RuntimeError) as error:
         return RenderPath("own", head, note=f"not baked: {error}")

@@ -46,10 +46,11 @@ def bind(gaze):
     return AnalyticField(gaze, sharpness=0.2)
 
 
+@pytest.mark.parametrize("compress", [False, True])
 @pytest.mark.parametrize("texture", [None, 1024])
-def test_no_errors_and_no_warnings(validate, tmp_path, monkeypatch, texture):
+def test_no_errors_and_no_warnings(validate, tmp_path, monkeypatch, texture, compress):
     monkeypatch.setattr(gazenerf.export.appearance.colours, "PICTURE", 96)
-    options = MeshOptions(resolution=40, threshold=100.0, formats=("glb",), texture=texture)
+    options = MeshOptions(resolution=40, threshold=100.0, formats=("glb",), texture=texture, compress=compress)
     gazes = [Gaze.from_degrees(0.0, 10.0), Gaze.from_degrees(10.0, 0.0)]
     mesh_subject(AnalyticHead(bind), tmp_path, options, sequence=gazes)
     for name in ("face.glb", "eyes.glb", "rig.glb", "sequence.glb"):

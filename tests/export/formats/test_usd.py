@@ -11,7 +11,7 @@ import trimesh
 import gazenerf.export.appearance.colours
 from gazenerf.errors import UserError
 from gazenerf.export import MeshOptions, mesh_subject
-from gazenerf.export.formats.gltf import Animation, Node, Texture
+from gazenerf.export.formats.nodes import Animation, Node, Texture
 from gazenerf.export.formats.usd import RATE, usdz
 from gazenerf.heads.analytic import AnalyticField, AnalyticHead
 

@@ -9,6 +9,7 @@ from gazenerf.errors import UserError
 from gazenerf.export import MeshOptions, mesh_subject
 from gazenerf.export.formats.volumes import read_nrrd, write_volume
 from gazenerf.export.options import VOLUMES
+from gazenerf.export.summary import mesh_rows
 from gazenerf.export.surface.densities import sample_density
 from gazenerf.heads.analytic import AnalyticField, AnalyticHead
 
@@ -65,7 +66,10 @@ def test_other_readers_agree_on_nrrd(grid, tmp_path, library):
 def test_the_volume_and_the_mesh_lie_in_one_place(tmp_path):
     bound = AnalyticField(sharpness=0.2)
     options = MeshOptions(resolution=40, threshold=100.0, formats=("ply",), colours=False, volumes=("npz", "vti"))
-    meshes = mesh_subject(AnalyticHead(lambda gaze: bound), tmp_path, options).parts
+    report = mesh_subject(AnalyticHead(lambda gaze: bound), tmp_path, options)
+    meshes = report.parts
+    whole = meshes["face"].extracted.volume.values.size
+    assert mesh_rows(report)["face queries"].startswith(f"{whole:,}, the whole grid, and ")
     assert sorted(path.name for path in tmp_path.glob("face.*")) == ["face.json", "face.npz", "face.ply", "face.vti"]
     for part, extracted in meshes.items():
         values, origin, spacing = loaded(tmp_path / f"{part}.npz")

@@ -18,7 +18,8 @@ from gazenerf.export.appearance.eyeball_texture import (
     eyeball_mesh,
     textured_eyeball,
 )
-from gazenerf.export.formats.gltf import Animation, Node, glb
+from gazenerf.export.formats.gltf import glb
+from gazenerf.export.formats.nodes import Animation, Node
 from gazenerf.export.mesh.sphere_fit import fit_eyeballs, fit_sphere
 from gazenerf.export.scenes.rig import SWEEP, quaternion, rig
 from gazenerf.geometry import Camera, Gaze
@@ -162,11 +163,17 @@ def test_a_clip_must_name_nodes_that_exist(parts):
 def test_rig_is_written_with_the_meshes_or_refused(tmp_path):
     with pytest.raises(UserError, match="--parts face eyes"):
         mesh_subject(HEAD, tmp_path / "a", MeshOptions(parts=("eyes",), rig=True))
-    options = MeshOptions(resolution=40, threshold=100.0, formats=("ply",), colours=False, rig=True)
+    options = MeshOptions(
+        resolution=40, threshold=100.0, formats=("ply",), colours=False, rig=True, page=True, clip=False
+    )
     made = mesh_subject(HEAD, tmp_path / "b", options)
     assert made.scenes["rig"].facts == json.loads((tmp_path / "b" / "rig.json").read_text())
     written = sorted(path.name for path in (tmp_path / "b").iterdir())
-    assert written == ["eyes.json", "eyes.ply", "face.json", "face.ply", "rig.glb", "rig.json"]
+    assert written == ["eyes.json", "eyes.ply", "face.json", "face.ply", "index.html", "rig.glb", "rig.json"]
+    tree, _ = parsed((tmp_path / "b" / "rig.glb").read_bytes())
+    assert "animations" not in tree, "without the clip nothing turns the eyes back"
+    assert len(tree["meshes"][0]["primitives"][0]["targets"]) == 8
+    assert "<title>analytic</title>" in (tmp_path / "b" / "index.html").read_text(encoding="utf-8")
     about = json.loads((tmp_path / "b" / "rig.json").read_text())
     assert about["units"] == "metres" and about["eye_right"]["centre_metres"][0] < 0
     with pytest.raises(UserError, match="--overwrite"):

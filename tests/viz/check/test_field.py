@@ -24,8 +24,9 @@ from gazenerf.viz.metrics.families import CHECK_DEFINITIONS
 from gazenerf.viz.metrics.reference import FixedReference
 from gazenerf.viz.metrics.reprojection import reproject
 from gazenerf.viz.metrics.surfaces import NAMES
+from gazenerf.viz.pictures.surface_colours import signed_colours
 from gazenerf.viz.reference.views import RENDERERS, render_reference, usable
-from gazenerf.viz.report.heatmaps import depth_difference_picture, signed_colours, silhouette_picture
+from gazenerf.viz.report.heatmaps import depth_difference_picture, silhouette_picture
 from gazenerf.viz.report.write import write_report
 from gazenerf.viz.selftest.exact_scene import SmoothScene, moved_mesh, scene_mesh
 

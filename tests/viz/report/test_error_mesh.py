@@ -7,13 +7,11 @@ import pytest
 import trimesh
 
 from gazenerf.heads.analytic import AnalyticField
+from gazenerf.viz.pictures.surface_colours import GIVE_UP_MM, GREY, signed_distance
 from gazenerf.viz.report.error_mesh import (
     BESIDE_M,
     FILE,
-    GIVE_UP_MM,
-    GREY,
     error_mesh,
-    signed_distance,
     write_error_mesh,
 )
 from gazenerf.viz.selftest.faults import moved_mesh, scene_mesh

@@ -24,9 +24,10 @@ from gazenerf.viz.metrics.orbit_pictures import OrbitPictures
 from gazenerf.viz.metrics.pairs import PairReading
 from gazenerf.viz.metrics.reprojection import Reprojection
 from gazenerf.viz.metrics.tsed import PairMatches, Tsed
+from gazenerf.viz.pictures.surface_colours import FARTHER, NEARER, colour_bar
 from gazenerf.viz.reference.views import ReferenceView
 from gazenerf.viz.report.error_mesh import FILE, error_mesh
-from gazenerf.viz.report.heatmaps import FARTHER, NEARER, colour_bar, silhouette_picture
+from gazenerf.viz.report.heatmaps import silhouette_picture
 from gazenerf.viz.report.write import write_report
 from gazenerf.viz.selftest.faults import scene_mesh
 

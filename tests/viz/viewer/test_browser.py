@@ -14,8 +14,11 @@ from gazenerf.geometry import Gaze
 from gazenerf.head_model import ReferenceHead
 from gazenerf.image_metrics import psnr
 from gazenerf.subjects import load_subject
-from gazenerf.viz.viewer import make_controls
+from gazenerf.viz.viewer import make_controls, path_view
 from gazenerf.viz.viewer.commands import Source
+from gazenerf.viz.viewer.gaze_pad import pad_point
+from gazenerf.viz.viewer.meshes import OverlayMesh
+from gazenerf.viz.viewer.path_view import FRUSTUMS
 from gazenerf.viz.viewer.people import subject_file
 from gazenerf.viz.viewer.server import serving
 from tests.viz.viewer.doubles import wait_until
@@ -150,6 +153,46 @@ def test_typed_angles_turn_the_irises_by_so_much(tab):
     wait_until(lambda: "beyond what this field was trained on" in tab.tab.inner_text("body"))
 
 
+def test_the_ball_of_the_pad_turns_the_irises_by_where_it_is_dragged(tab, page):
+    straight, pad = tab.now(), page.gaze.pad
+    pad.shown.value = True
+    tab.after(lambda: page.gaze.turn_to(Gaze.from_degrees(0.0, -12.0)))  # so far left that the controls do not cover it
+    camera = tab.now().camera.resized(WIDTH, HEIGHT)
+    here, there = (camera.project(pad_point(pad._eyes, Gaze.from_degrees(*to)))[0] for to in ((0, -12), (-8, -28)))
+
+    def dragged() -> bool:
+        """Whether a drag turned the eyes; a page that has just begun may not have drawn the ball yet."""
+        mouse = tab.tab.mouse
+        mouse.move(*here)
+        tab.tab.wait_for_timeout(400.0)  # what lies under the pointer is found a moment later
+        mouse.down()
+        for share in (0.3, 0.6, 1.0):
+            mouse.move(*(here + share * (there - here)))
+            tab.tab.wait_for_timeout(100.0)
+        mouse.up()
+        return page.scene.state.gaze.gaze.degrees[1] < -14.0
+
+    wait_until(dragged, 60.0)
+    wait_until(lambda: page.scene.state.gaze.gaze.degrees == pytest.approx((-8.0, -28.0), abs=1.0))
+    pad.shown.value = False
+    for eye in ("left", "right"):
+        turn = np.rad2deg(iris_gaze(tab.now(), eye).yaw - iris_gaze(straight, eye).yaw)
+        assert turn == pytest.approx(-28.0, abs=4.0)
+
+
+def test_the_face_mesh_is_coloured_by_its_distance_from_the_reference(page):
+    known = ReferenceHead.of(load_subject("noa")).at(Gaze())
+    layers = page.layers
+    layers._extracted("face", OverlayMesh(known.vertices, known.faces, np.full(len(known.vertices), 1.5)))
+    assert layers._meshes["face"].visible
+    layers.distances.shown.value = True
+    wait_until(lambda: layers.distances._mesh.visible and not layers._meshes["face"].visible)
+    assert "median 1.50 mm" in layers.distances.text.content and layers.distances.key.visible
+    layers.distances.shown.value = False
+    wait_until(lambda: layers._meshes["face"].visible and not layers.distances._mesh.visible)
+    layers._meshes.pop("face").remove()
+
+
 def test_dragging_moves_the_camera_and_the_picture_follows(tab):
     before = tab.now()
     count = len(tab.shown)
@@ -205,6 +248,16 @@ def test_a_path_through_kept_views_is_rendered_and_sent(tab, page, tmp_path, mon
         page._server.get_clients()[tab.number].camera.position = (3.0 * count, 0.0, 11.0)
         tab.press("Add this view as a keyframe")
         wait_until(lambda count=count: len(page.make.keys) == count)
+    page.make.cameras.value = True
+    wait_until(lambda: len(page.make._frustums._handles) == 2 + FRUSTUMS + 1)
+    page.make.cameras.value = False
+    monkeypatch.setattr(path_view, "SECONDS", 1.5)
+    count = len(tab.shown)
+    tab.press("Play this path")
+    wait_until(lambda: page.make.player.playing)
+    wait_until(lambda: not page.make.player.playing)
+    places = np.stack([picture.camera.position for picture in tab.shown[count:]])
+    assert np.abs(places[:, 0] - 6.0).min() < 1.0 and tab.now().camera.position[0] == pytest.approx(3.0, abs=0.5)
     tab.press("Render this path")
     wait_until(lambda: "gazenerf orbit --subject" in tab.tab.inner_text("body"))
     wait_until(lambda: "Written" in tab.tab.inner_text("body"), 90.0)

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from gazenerf.cli.main import build_parser, load_command
 from gazenerf.cli.parser import parsed
+from gazenerf.errors import UserError
 from gazenerf.geometry import Gaze
 from gazenerf.geometry.cameras import NEUTRAL_FOV, Camera
 from gazenerf.geometry.keyframes import read_keyframes
@@ -16,6 +17,7 @@ from gazenerf.viz.viewer.commands import Source, check_words, line, mesh_words, 
 from gazenerf.viz.viewer.gazes import GazeChoice
 from gazenerf.viz.viewer.jobs import Jobs
 from gazenerf.viz.viewer.keyframes import Keyframes, keyframe
+from gazenerf.viz.viewer.path_view import wxyz_of
 from gazenerf.viz.viewer.people import CodeSlider, moved
 from gazenerf.viz.viewer.viewpoint import Viewpoint
 from tests.viz.viewer.doubles import wait_until
@@ -50,6 +52,20 @@ def test_a_view_from_straight_above_is_kept_too(tmp_path):
     pose = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, 12.0], [0, 1.0, 0, 0], [0, 0, 0, 1.0]])
     above = Camera(1.0, 1.0, 0.5, 0.5, 1, 1, pose)
     assert "world_from_camera" in keyframe(looking(above), np.zeros(3))
+
+
+def test_the_path_through_kept_views_is_the_orbit_commands_and_has_frustums_like_its_cameras():
+    keys = Keyframes()
+    with pytest.raises(UserError, match="2 to"):
+        keys.path(8)
+    for yaw in (-0.4, 0.5):
+        keys.add(keyframe(looking(Camera.orbit(yaw)), np.zeros(3)))
+    kept, path = keys.path(8)
+    assert len(kept) == 2 and len(path) == 8
+    np.testing.assert_allclose(path[0].position, Camera.orbit(-0.4).position, atol=1e-5)
+    np.testing.assert_allclose(path[4].position, Camera.orbit(0.5).position, atol=1e-5)
+    turn = Rotation.from_quat(wxyz_of(path[4]), scalar_first=True).as_matrix()
+    np.testing.assert_allclose(turn, path[4].world_from_camera[:3, :3], atol=1e-9)
 
 
 def test_the_last_and_all_keys_can_be_forgotten():
@@ -115,10 +131,15 @@ def test_one_command_runs_at_a_time_and_failures_are_said(tmp_path):
     assert ended[1] == ("subjects", "")
 
 
-def test_a_command_that_runs_ends_with_the_viewer(tmp_path):
-    ended = []
-    jobs = Jobs(lambda words, wrong: ended.append(wrong))
-    jobs.start(["orbit", "--checkpoint", "small", "--frames", "5000", "--out", str(tmp_path / "a.mp4")])
+QUICK = ["--size", "32", "--speed", "guided"]
+
+
+def test_a_command_says_how_far_it_is_and_ends_with_the_viewer(tmp_path):
+    ended, told = [], []
+    jobs = Jobs(lambda words, wrong: ended.append(wrong), lambda *how_far: told.append(how_far))
+    jobs.start(["orbit", "--checkpoint", "small", "--frames", "5000", *QUICK, "--out", str(tmp_path / "a.mp4")])
+    wait_until(lambda: len(told) > 2, 60.0)
     jobs.close()
+    assert all(stage and 0 <= done <= total for stage, done, total in told)
     wait_until(lambda: bool(ended), 20.0)
-    assert "ended with code" in ended[0] and not (tmp_path / "a.mp4").exists()
+    assert ended[0] and not (tmp_path / "a.mp4").exists()

@@ -7,12 +7,13 @@ import pytest
 
 import gazenerf
 from gazenerf.errors import UserError
-from gazenerf.geometry import Gaze
+from gazenerf.geometry import Camera, Gaze
 from gazenerf.heads.baked import BakedHead
+from gazenerf.heads.choose import choose_path
 from gazenerf.subjects import load_subject
 from gazenerf.viz.pictures.colormaps import to_uint8
 from gazenerf.viz.viewer.gazes import GazeChoice
-from gazenerf.viz.viewer.paths import Paths
+from gazenerf.viz.viewer.paths import Paths, Unwanted
 from gazenerf.viz.viewer.scene import Scene, SceneState
 from gazenerf.viz.viewer.visit import USUAL_SIZE, Picture, Visit
 from tests.viz.viewer.doubles import FlatHead, wait_until
@@ -174,6 +175,22 @@ def test_another_person_is_drawn_evenly_at_once_and_baked_later(small):
     assert isinstance(small.paths.drawer(ben).head, BakedHead)
     small.scene.change(subject=small.head.subject)
     assert small.paths.drawer(small.head.subject).final, "the bakes of the last few people are kept"
+
+
+def test_a_bake_that_is_wanted_no_more_ends_at_its_next_step(small):
+    told = []
+
+    def enough(*how_far) -> None:
+        told.append(how_far)
+        raise Unwanted
+
+    with pytest.raises(Unwanted):
+        choose_path(small.head, [Camera.orbit(0.0, size=32)], [Gaze()], "baked", progress=enough)
+    assert len(told) == 1 and told[0][:2] == ("bake", 1) and told[0][2] > 1
+    paths = Paths(small.head, lambda: None)
+    wait_until(lambda: "baking" in paths.drawer(small.head.subject).note)
+    paths.close()
+    assert not paths._thread.is_alive() and not paths.drawer(small.head.subject).final
 
 
 def test_a_head_of_one_subject_refuses_others(flat):
