@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import tempfile
+import tokenize
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -142,3 +143,15 @@ def whole_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise UserError(f"cannot write to {target}: {error.strerror or error}") from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+@contextmanager
+def reading_numpy() -> Iterator[None]:
+    """Within it a damaged header of an .npy or .npz file is a ValueError, as other damage is.
+
+    NumPy parses headers as Python literals and lets errors of the tokenizer through.
+    """
+    try:
+        yield
+    except (tokenize.TokenError, SyntaxError) as error:
+        raise ValueError("its header is damaged") from error

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from gazenerf.files import reading_numpy
+
 
 def read_stored_arrays(path: Path, most: int) -> dict[str, np.ndarray]:
     """All arrays of a file that `numpy.savez` wrote.
@@ -33,7 +35,10 @@ def read_stored_arrays(path: Path, most: int) -> dict[str, np.ndarray]:
             raise ValueError("it is compressed or encrypted")
         if sum(entry.file_size for entry in entries) > path.stat().st_size:
             raise ValueError("its arrays claim to be larger than the file")
-        return {entry.filename.removesuffix(".npy"): _array(archive.read(entry), entry.filename) for entry in entries}
+        with reading_numpy():
+            return {
+                entry.filename.removesuffix(".npy"): _array(archive.read(entry), entry.filename) for entry in entries
+            }
 
 
 def _array(data: bytes, name: str) -> np.ndarray:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from gazenerf.errors import UserError
+from gazenerf.files import reading_numpy
 
 BUNDLED = Path(__file__).parent.parent / "assets" / "head_model.npz"
 MAX_FILE_BYTES = 512 * 2**20
@@ -36,7 +37,7 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
             raise UserError(
                 f"{path} unpacks to more than a head model can hold ({MAX_ARRAYS} arrays, {MAX_ARRAY_BYTES >> 20} MiB)"
             )
-        with np.load(path, allow_pickle=False) as file:
+        with reading_numpy(), np.load(path, allow_pickle=False) as file:
             arrays = {key: np.asarray(file[key]) for key in file.files}
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
         raise UserError(f"cannot read the head model {path}: {error}; write it anew with numpy.savez") from error

@@ -18,6 +18,7 @@ import numpy as np
 import torch
 
 from gazenerf.errors import UserError
+from gazenerf.files import reading_numpy
 from gazenerf.head_model.interface import HeadModel
 from gazenerf.head_model.model import BUNDLED_NAME
 from gazenerf.photographs.landmarks import DENSE_WITHOUT_IRISES, IRISES
@@ -172,7 +173,7 @@ def _read(path: Path) -> dict[str, np.ndarray]:
         with zipfile.ZipFile(path) as archive:
             if sum(member.file_size for member in archive.infolist()) > MAX_BYTES:
                 raise UserError(f"{path} unpacks to more than a landmark table holds ({MAX_BYTES >> 20} MiB)")
-        with np.load(path, allow_pickle=False) as file:
+        with reading_numpy(), np.load(path, allow_pickle=False) as file:
             arrays = {key: np.asarray(file[key]) for key in ("format", "model", *SHAPES)}
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
         raise UserError(f"{path} is no landmark table ({str(error)[:120]})") from error

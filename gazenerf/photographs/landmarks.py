@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from gazenerf.errors import UserError
-from gazenerf.files import check_name, read_json
+from gazenerf.files import check_name, read_json, reading_numpy
 from gazenerf.photographs.picture import read_grey
 
 MAX_LANDMARK_BYTES = 4 * 2**20
@@ -111,7 +111,8 @@ def read_landmarks(path: Path) -> list[FaceLandmarks]:
     try:
         if path.stat().st_size > MAX_LANDMARK_BYTES:
             raise UserError(f"{path} is larger than {MAX_LANDMARK_BYTES >> 20} MiB; landmarks are smaller")
-        return as_landmarks(_array(path), str(path))
+        with reading_numpy():
+            return as_landmarks(_array(path), str(path))
     except FileNotFoundError as error:
         raise UserError(f"{path} does not exist; give a file of landmarks") from error
     except (OSError, ValueError, EOFError, KeyError, NotImplementedError, zipfile.BadZipFile, zlib.error) as error:

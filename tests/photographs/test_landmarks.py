@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 
 import numpy as np
@@ -22,6 +23,12 @@ def points(count: int = 478, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).uniform(20, 200, (count, 2))
 
 
+def npy() -> bytes:
+    file = io.BytesIO()
+    np.save(file, points(68))
+    return file.getvalue()
+
+
 @pytest.mark.parametrize("count", [68, 468, 478])
 @pytest.mark.parametrize("suffix", [".npy", ".npz", ".json", ".csv"])
 def test_files_of_every_kind(tmp_path, suffix, count):
@@ -37,6 +44,12 @@ def test_files_of_every_kind(tmp_path, suffix, count):
     (found,) = read_landmarks(file)
     np.testing.assert_allclose(found.points, wanted)
     assert found.dense == (count != 68) and (found.irises is not None) == (count == 478)
+
+
+def test_a_table_in_exponents_has_no_header(tmp_path):
+    np.savetxt(tmp_path / "face.csv", points(68), delimiter=",")
+    (found,) = read_landmarks(tmp_path / "face.csv")
+    np.testing.assert_allclose(found.points, points(68))
 
 
 def test_a_file_may_hold_several_faces(tmp_path):
@@ -55,6 +68,7 @@ BAD = {
     "shares.npy": lambda file: np.save(file, points(68) / 200),
     "text.npz": lambda file: file.write_text("no archive"),
     "none.npz": lambda file: np.savez(file),
+    "header.npy": lambda file: file.write_bytes(npy().replace(b"{'", b"{(")),
     "words.csv": lambda file: file.write_text("x,y\na,b\n"),
     "ragged.csv": lambda file: file.write_text("1,2\n3\n"),
     "dict.json": lambda file: file.write_text('{"points": []}'),

@@ -8,6 +8,7 @@ import numpy as np
 from PIL import Image
 
 from gazenerf.errors import UserError
+from gazenerf.files import reading_numpy
 from gazenerf.photographs.picture import DEEP, MAX_FILE_BYTES, picture_size
 
 
@@ -20,7 +21,8 @@ def read_depth(file: Path, shape: tuple[int, int]) -> np.ndarray | None:
         if not file.is_file() or file.stat().st_size > MAX_FILE_BYTES:
             return None
         if file.suffix.lower() == ".npy":
-            stored = np.load(file, mmap_mode="r", allow_pickle=False)
+            with reading_numpy():
+                stored = np.load(file, mmap_mode="r", allow_pickle=False)
             if stored.dtype.kind not in "fui" or stored.shape not in (shape, (*shape, 1)):
                 return None
             return np.array(stored, dtype=np.float32).reshape(shape)
