@@ -15,6 +15,9 @@ from gazenerf.options import option
 
 FORMATS = ("glb", "ply", "obj", "stl", "usdz")
 
+SMOOTHED = 40
+"""Rounds of smoothing of surfaces that are not those of signed distances."""
+
 TEXTURED = ("glb", "obj", "usdz")
 """Formats that carry a texture."""
 
@@ -58,7 +61,8 @@ class MeshOptions:
         repair: Make the surface manifold.
         seen: Drop pieces that cannot be seen from outside.
         holes_mm: Close holes up to this radius, millimetres; inf for all.
-        smoothing: Rounds of Taubin smoothing, which keeps the volume.
+        smoothing: Rounds of Taubin smoothing, which keeps the volume; None for none where the surface is that of
+            signed distances, and for `SMOOTHED` elsewhere.
         max_faces: Decimate each part to at most so many triangles; a textured one to
             `gazenerf.export.appearance.texture.MAX_FACES` where None.
         formats: Some of glb, ply, obj, stl (millimetres), usdz.
@@ -89,9 +93,10 @@ class MeshOptions:
     holes_mm: float = option(
         0.0, "close holes up to this radius; inf for all", flag="--close-holes", metavar="MM", group=SURFACE
     )
-    smoothing: int = option(
-        40, "rounds of smoothing that keeps the volume (default: 40)", flag="--smooth", metavar="N", group=SURFACE
-    )
+    smoothing: int | None = option(
+        None, "rounds of smoothing that keeps the volume (default: 40; 0 where the field has signed distances)",
+        flag="--smooth", metavar="N", group=SURFACE,
+    )  # fmt: skip
     max_faces: int | None = option(None, "decimate each part to at most N triangles", metavar="N", group=SURFACE)
     formats: tuple[str, ...] = option(
         ("glb", "ply", "obj"), "glb, ply, obj, stl, usdz (default: glb ply obj)", metavar="F", group=WRITTEN

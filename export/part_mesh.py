@@ -17,7 +17,7 @@ from gazenerf.export.appearance.texture import MAX_FACES, TexturedMesh, bake_tex
 from gazenerf.export.mesh.cleaning import Cleaning
 from gazenerf.export.mesh.normals import vertex_normals
 from gazenerf.export.mesh.repair import self_intersections
-from gazenerf.export.options import MeshOptions
+from gazenerf.export.options import SMOOTHED, MeshOptions
 from gazenerf.export.surface.coverage import Coverage, RenderedDepth, coverage
 from gazenerf.export.surface.densities import DensityGrid, grid_shape, sample_density
 from gazenerf.export.surface.density_surface import KEPT_COMPONENTS, Surface, density_surface, part_box
@@ -84,9 +84,11 @@ def extract_part(
         raise UserError(f"unknown part {part!r}; there are {', '.join(PARTS)}")
     options.check()
     max_faces = MAX_FACES if options.texture is not None and options.max_faces is None else options.max_faces
+    exact = bound.surface_spread is not None and options.surface == "isosurface"
+    smoothing = (0 if exact else SMOOTHED) if options.smoothing is None else options.smoothing
     cleaning = Cleaning(
         KEPT_COMPONENTS[part],
-        options.smoothing,
+        smoothing,
         max_faces,
         holes=options.holes_mm / (1000.0 * bound.metres_per_unit),
         seen=options.seen,

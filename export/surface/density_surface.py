@@ -64,7 +64,8 @@ def density_surface(
     """The isosurface of one part.
 
     The threshold is chosen on a grid of at most `JUDGING_RESOLUTION`, the density sampled along that
-    level's surface, and what is enclosed made solid (face and head).
+    level's surface, and what is enclosed made solid (face and head). Where densities follow from signed distances,
+    `auto` is the distance 0, and nothing has to be chosen.
 
     Args:
         resolution: Grid points along the longest side of the part's box.
@@ -90,16 +91,19 @@ def density_surface(
         )
         return own, None if sockets is None else _within(bound, own, sockets, levels)
 
+    spread = bound.surface_spread
     level = _fixed_level(threshold)
     if level is not None:
         chosen = Threshold(level, "fixed")
+    elif threshold == "auto" and spread is not None:
+        chosen = Threshold(0.5 / spread, "distance")
     else:
         judged, beside = volumes(min(resolution, JUDGING_RESOLUTION), _judged_levels(threshold), dense=False)
         queries += judged.queries + (beside.queries if beside else 0)
 
         def candidate(level: float) -> trimesh.Trimesh:
             solid = judged if part == "eyes" else fill_enclosed(judged, beside, level)
-            return keep_largest(isosurface(solid, level, method), KEPT_COMPONENTS[part])
+            return keep_largest(isosurface(solid, level, method, spread), KEPT_COMPONENTS[part])
 
         chosen = choose_threshold(
             part, judged, threshold, candidate, rendered or (lambda: RenderedDepth.of(bound, part))
@@ -111,7 +115,7 @@ def density_surface(
     steps += [*(() if part == "eyes" else ("enclosed space filled",)), method.replace("-", " ")]
     shape, spacing, volume = grid.values.shape, grid.spacing, grid if dense else None
     del grid, other
-    mesh = isosurface(solid, chosen.level, method)
+    mesh = isosurface(solid, chosen.level, method, spread)
     return Surface(mesh, shape, spacing, queries, tuple(steps), chosen, volume)
 
 

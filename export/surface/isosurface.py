@@ -12,13 +12,21 @@ from gazenerf.export.surface.densities import DensityGrid, extent
 METHODS = ("flying-edges", "lewiner")
 
 
-def isosurface(grid: DensityGrid, level: float, method: str = "flying-edges") -> trimesh.Trimesh:
+DEEPEST = 10.0
+"""Scales of the Laplace distribution beyond which a density tells no distance any more."""
+
+
+def isosurface(
+    grid: DensityGrid, level: float, method: str = "flying-edges", spread: float | None = None
+) -> trimesh.Trimesh:
     """The surface where density equals a level, in world units, closed at the border of the box.
 
     Args:
         grid: The density.
         level: Per world unit.
         method: `flying-edges` (VTK, through pyvista) or `lewiner` (scikit-image).
+        spread: `BoundField.surface_spread`: with it the surface is interpolated between the distances that the
+            densities mean, which are straight across a cell where densities are steps.
 
     Raises:
         UserError: unknown method, or the level leaves no surface; the message says which do.
@@ -38,6 +46,8 @@ def isosurface(grid: DensityGrid, level: float, method: str = "flying-edges") ->
             f"no surface at density {level:g}: the largest is {values.max():.3g} and {known}; lower --threshold"
         )
     low, values = _around(values, level)
+    if spread is not None:
+        values, level = inwards(values, spread), float(inwards(np.array([level], np.float32), spread)[0])
     origin = grid.origin + grid.spacing * low
     if method == "flying-edges":
         places, faces = _flying_edges(values, level)
@@ -50,6 +60,20 @@ def isosurface(grid: DensityGrid, level: float, method: str = "flying-edges") ->
     if signed_volumes(mesh).sum() < 0:
         mesh.invert()
     return mesh
+
+
+def inwards(density: np.ndarray, spread: float) -> np.ndarray:
+    """float32 distances below the surface, world units, of densities that `laplace_density` gave.
+
+    Up to `DEEPEST` spreads to both sides.
+
+    Args:
+        density: (...) float32 per world unit.
+        spread: World units.
+    """
+    share = np.clip(density * np.float32(spread), 0.5 * np.exp(-DEEPEST), 1.0 - 0.5 * np.exp(-DEEPEST))
+    far = np.log(2.0 * np.minimum(share, 1.0 - share))
+    return (spread * np.where(share < 0.5, far, -far)).astype(np.float32)
 
 
 def _around(values: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarray]:

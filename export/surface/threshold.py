@@ -45,7 +45,7 @@ class Threshold:
 
     Attributes:
         level: Density per world unit.
-        how: `auto`, `fixed` or `percentile`.
+        how: `auto`, `fixed`, `percentile`, or `distance` where it is that of signed distances.
         tried: Every candidate, as the choice saw them: on a grid coarser than the mesh's, before it is cleaned.
     """
 

@@ -39,6 +39,8 @@ class BoundHead:
         self.head, self.gaze = head, gaze
         self.field, self.subject, self.box = head.field, head.subject, head.box
         self.metres_per_unit, self.weights_hash = head.metres_per_unit, head.weights_hash
+        config = head.field.config
+        self.surface_spread = config.surface_spread if config.geometry == "distance" else None
         self.label, self.conditions = head.conditions(gaze)
 
     def __repr__(self) -> str:

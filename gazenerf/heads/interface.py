@@ -116,6 +116,8 @@ class BoundField(Protocol):
         box: (2, 3) float64 lower and upper corner of the volume where density may be non-zero.
         metres_per_unit: Size of a world unit.
         weights_hash: Names the weights in sidecars and reports.
+        surface_spread: Where densities follow from signed distances, the scale of their Laplace distribution, world
+            units, so that the surface is where density is half of one over it; None where densities are learned.
     """
 
     subject: Subject
@@ -123,6 +125,7 @@ class BoundField(Protocol):
     box: np.ndarray
     metres_per_unit: float
     weights_hash: str
+    surface_spread: float | None
 
     @property
     def device(self) -> torch.device:

@@ -1,0 +1,61 @@
+"""Surfaces of signed distances: at distance 0, and straight between grid points where densities are steps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from gazenerf.export.options import MeshOptions
+from gazenerf.export.part_mesh import extract_part
+from gazenerf.export.surface.densities import sample_density
+from gazenerf.export.surface.isosurface import inwards, isosurface
+from gazenerf.field.distance import laplace_density
+from gazenerf.field.model import TwoStreamField
+from gazenerf.geometry import Gaze
+from gazenerf.heads import Head
+from gazenerf.heads.bound import BoundHead
+from tests.field_doubles import make_subject, tiny_config
+
+RADIUS, SPREAD = 0.9, 0.01
+
+
+@pytest.fixture(scope="module")
+def ball() -> BoundHead:
+    torch.manual_seed(0)
+    config = tiny_config(geometry="distance", distance_width=8, distance_frequencies=1, surface_spread=SPREAD)
+    field = TwoStreamField(config).eval()
+    for name, balls in (("face", [[0.0, 0.0, 0.0, RADIUS]]), ("eyes", [[0.3, 0.1, 0.8, 0.15], [-0.3, 0.1, 0.8, 0.15]])):
+        network = field.stream(name).distance
+        assert network is not None
+        for weights in (network.last.weight, network.move.matrix.weight):
+            torch.nn.init.zeros_(weights)
+        network.set_balls(np.array(balls))
+    return Head(field.requires_grad_(False), make_subject(config)).at(Gaze())
+
+
+def test_densities_tell_their_distances() -> None:
+    distance = np.linspace(-0.08, 0.08, 41, dtype=np.float32)
+    found = inwards(laplace_density(torch.from_numpy(distance), SPREAD).numpy(), SPREAD)
+    np.testing.assert_allclose(found, -distance, atol=2e-4)
+    np.testing.assert_allclose(inwards(np.array([0.0, 200.0], np.float32), SPREAD), [-0.1, 0.1], atol=1e-3)
+
+
+@pytest.mark.parametrize("method", ["flying-edges", "lewiner"])
+def test_a_coarse_grid_gives_the_ball_where_densities_give_its_steps(ball: BoundHead, method: str) -> None:
+    assert ball.surface_spread == SPREAD
+    grid = sample_density(ball, "face", ball.box, 32)  # cells of ten spreads
+    off = {}
+    for spread in (None, SPREAD):
+        mesh = isosurface(grid, 0.5 / SPREAD, method, spread)
+        off[spread] = np.abs(np.linalg.norm(mesh.vertices, axis=1) - RADIUS).mean()
+    assert off[SPREAD] < 0.002 and off[SPREAD] < 0.2 * off[None]
+
+
+def test_auto_is_the_surface_of_the_distances_and_nothing_is_smoothed(ball: BoundHead) -> None:
+    found = extract_part(ball, "face", MeshOptions(resolution=48, colours=False))
+    assert found.threshold is not None and (found.threshold.level, found.threshold.how) == (50.0, "distance")
+    assert found.threshold.tried == () and not [step for step in found.steps if "smoothing" in step]
+    assert np.abs(np.linalg.norm(found.mesh.vertices, axis=1) - RADIUS).max() < 0.005
+    smoothed = extract_part(ball, "face", MeshOptions(resolution=48, colours=False, smoothing=10))
+    assert [step for step in smoothed.steps if "10 rounds" in step]
