@@ -43,11 +43,11 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "isosurface, not smoothed": {"smoothing": 0},
     "isosurface, 10 rounds": {"smoothing": 10},
     "isosurface, 20 rounds": {"smoothing": 20},
-    "isosurface, 40 rounds (default)": {},
+    "isosurface, 40 rounds": {"smoothing": 40},
     "blender, 50,000 faces": {"max_faces": 50_000},
     "web, 15,000 faces": {"resolution": 160, "max_faces": 15_000},
     "tsdf, not smoothed": {"surface": "tsdf", "smoothing": 0},
-    "tsdf, 40 rounds": {"surface": "tsdf"},
+    "tsdf, 40 rounds": {"surface": "tsdf", "smoothing": 40},
 }
 LIGHT = np.array([0.9, 0.35, 0.35]) / np.linalg.norm([0.9, 0.35, 0.35])
 """Where the hard light comes from."""

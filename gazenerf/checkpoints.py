@@ -37,7 +37,8 @@ KIND = TensorFileKind(
     "checkpoint",
     FORMAT,
     MAX_BYTES,
-    absent="give --checkpoint portrait or small, which are bundled, or a .safetensors file from `gazenerf train`",
+    absent="give --checkpoint portrait, portrait-sdf or small, which are bundled, or a .safetensors file from "
+    "`gazenerf train`",
     foreign="a published checkpoint is converted by `gazenerf import-checkpoint`",
     fix="give a .safetensors file that gazenerf wrote",
 )

@@ -21,7 +21,8 @@ def load(
 
     Args:
         subject: A bundled name or a subject file; the first bundled one by default.
-        checkpoint: A bundled field's name (`portrait`, `small`) or a field's file; `portrait` by default.
+        checkpoint: A bundled field's name (`portrait`, `portrait-sdf`, `small`) or a field's file; `portrait` by
+            default.
         device: `auto` (a CUDA GPU where PyTorch sees one), `cpu`, `cuda` or `cuda:N`.
         precision: Of matrix products, one of `gazenerf.devices.PRECISIONS`.
 

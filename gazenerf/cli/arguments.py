@@ -30,8 +30,9 @@ class SourceArguments:
         None, "a bundled name or a subject file (default: the first bundled; see `gazenerf subjects`)", metavar="S"
     )
     checkpoint: Path | None = option(
-        None, "portrait (512 px) or small (256 px), which are bundled, or a file (default: portrait)", metavar="FIELD"
-    )
+        None, "portrait (512 px), portrait-sdf (its colours on smooth surfaces) or small (256 px), which are bundled, "
+        "or a file (default: portrait)", metavar="FIELD",
+    )  # fmt: skip
 
     device: str = option(
         "auto", "where the field is computed: cpu, cuda, or auto for a GPU where there is one (default: auto)",

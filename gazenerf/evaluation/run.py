@@ -53,7 +53,7 @@ class EvaluateOptions:
     data: Path = option(help="captures from `gazenerf synthesize`", metavar="DIR")
     out: Path = option(help="JSON report", metavar="FILE")
     checkpoint: Path | None = option(
-        None, "portrait or small, which are bundled, or a file (default: portrait)", metavar="FIELD"
+        None, "portrait, portrait-sdf or small, which are bundled, or a file (default: portrait)", metavar="FIELD"
     )
     held_out: int = option(1, "as given to `gazenerf train`", metavar="N")
     held_out_views: float = option(0.05, "as given to train", metavar="SHARE")

@@ -55,8 +55,9 @@ def test_sets_of_other_people_are_not_joined(toy_captures, tmp_path, join):
 
 
 @pytest.mark.parametrize("words", [[], ["--dry-run"]])
-def test_the_chain_needs_a_folder(words: list[str]):
-    done = subprocess.run(["bash", SCRIPTS / "train_bundled.sh", *words], capture_output=True, text=True, timeout=60)
+@pytest.mark.parametrize("script", ["train_bundled.sh", "train_portrait_sdf.sh"])
+def test_the_chain_needs_a_folder(script: str, words: list[str]):
+    done = subprocess.run(["bash", SCRIPTS / script, *words], capture_output=True, text=True, timeout=60)
     assert done.returncode == 2 and done.stderr.count("\n") == 1 and "folder" in done.stderr
 
 
