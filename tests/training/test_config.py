@@ -37,7 +37,9 @@ def test_portrait_has_the_shapes_of_a_512_px_field() -> None:
 def test_the_bundled_portrait_is_of_this_preset() -> None:
     preset, bundled = replace(FIELDS["portrait"], **SIZES).to_dict(), load_field("portrait").config.to_dict()
     found_in_training = {"eyes_box", "trained_gaze_range"}
-    assert {name for name in preset if preset[name] != bundled[name]} == found_in_training
+    of_densities = [name for name in preset if not name.startswith("distance_")]
+    assert bundled["geometry"] == "density"
+    assert {name for name in of_densities if preset[name] != bundled[name]} == found_in_training
 
 
 def test_portrait_differs_from_small_in_size_only() -> None:

@@ -54,7 +54,8 @@ def test_surfaces_come_nearer_to_peoples(tmp_path: Path) -> None:
     assert after["face"]["places_mm"] < 0.9 * before["face"]["places_mm"]
     assert found["eyes"]["median_mm"] < 2.5 and found["face"]["normals_deg"] < 40.0
     rows = [json.loads(line) for line in (tmp_path / "distances.jsonl").read_text().splitlines()]
-    assert [row["step"] for row in rows] == [40, 80, 120] and rows[-1]["loss"] < rows[0]["loss"]
+    # places alone are learned for the first 48 steps
+    assert [row["step"] for row in rows] == [40, 80, 120] and rows[2]["loss"] < rows[1]["loss"]
 
 
 def test_a_killed_run_goes_on_to_the_same_distances(tmp_path: Path) -> None:
