@@ -83,7 +83,7 @@ def save_field(
 
 def bundled_fields() -> dict[str, Path]:
     """Name to file of the fields that ship with the package."""
-    return {path.stem: path for path in sorted(FIELDS.glob("*.safetensors"))}
+    return {path.stem: path for path in sorted(FIELDS.glob("*.safetensors"), key=lambda path: path.stem)}
 
 
 def load_field(name_or_path: str | Path | None = None) -> TwoStreamField:

@@ -29,10 +29,14 @@ keep_memory=(env MALLOC_MMAP_THRESHOLD_=8589934592 MALLOC_TRIM_THRESHOLD_=171798
 	perceptual=0.03 perceptual_backbone=alexnet perceptual_stages=5 perceptual_start=0.1 ema=0.97 "$@"
 "$python" - "$folder/run/field.safetensors" <<'PY'
 import sys
+from dataclasses import replace
 
 from gazenerf.checkpoints import FIELDS, load_field, save_field
 
-save_field(load_field(sys.argv[1]), FIELDS / "portrait-sdf.safetensors", half=True)
+field = load_field(sys.argv[1])
+field.config = replace(field.config, surface_spread=0.006)
+field.about["surface_spread"] = "0.01 while colours settled, 0.006 since"
+save_field(field, FIELDS / "portrait-sdf.safetensors", half=True)
 print("wrote portrait-sdf in half precision")
 PY
 "$python" "$scripts/join_captures.py" --base "$folder/people" --more "$folder/people" --held-out $(seq 14 39) \
