@@ -14,7 +14,7 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from benchmarks.fuzz import published_weights
+from benchmarks.fuzz_targets import published_weights
 from gazenerf.checkpoints import (
     BUNDLED,
     FORMAT,
