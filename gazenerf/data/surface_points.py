@@ -6,7 +6,6 @@ A synthetic head knows its distance everywhere, so its geometry needs no renderi
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import torch
@@ -15,6 +14,7 @@ from gazenerf.geometry import Gaze
 from gazenerf.head_model.expressions import sample_expressions
 from gazenerf.head_model.interface import FACE, HeadMesh
 from gazenerf.head_model.model import ParametricHead
+from gazenerf.head_model.ray_scenes import ray_scene, tensor
 from gazenerf.head_model.sampling import sample_person
 from gazenerf.subjects import Codes
 
@@ -139,14 +139,4 @@ def _on_surface(
 
 def signed_distance(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -> np.ndarray:
     """(N,) float32 distances of points (N, 3) from a closed mesh, negative inside, by Open3D."""
-    from open3d import t
-
-    scene = t.geometry.RaycastingScene(nthreads=1)
-    scene.add_triangles(_tensor(vertices, np.float32), _tensor(faces, np.uint32))
-    return scene.compute_signed_distance(_tensor(points, np.float32), nthreads=1).numpy()
-
-
-def _tensor(values: np.ndarray, kind: type) -> Any:
-    from open3d import core
-
-    return core.Tensor.from_numpy(np.ascontiguousarray(values, kind))
+    return ray_scene(vertices, faces).compute_signed_distance(tensor(points), nthreads=1).numpy()

@@ -11,6 +11,7 @@ from scipy.sparse.linalg import splu
 
 from gazenerf.geometry import Camera
 from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, FACE, HeadMesh
+from gazenerf.head_model.ray_scenes import ray_scene, tensor
 
 LARGEST_SIDE = 200
 """Pixels: motion is computed in pictures no larger than this, it is smooth."""
@@ -77,7 +78,7 @@ def visible(mesh: HeadMesh, position: np.ndarray, points: np.ndarray) -> np.ndar
     away = points - position
     distance = np.linalg.norm(away, axis=1)
     rays = np.concatenate([np.broadcast_to(position, away.shape), away / distance[:, None]], axis=1)
-    return _scene(mesh).cast_rays(_tensor(rays), nthreads=1)["t_hit"].numpy() > distance - HIDDEN_UNITS
+    return _scene(mesh).cast_rays(tensor(rays), nthreads=1)["t_hit"].numpy() > distance - HIDDEN_UNITS
 
 
 def harmonic_fill(values: np.ndarray, known: np.ndarray, domain: np.ndarray) -> np.ndarray:
@@ -122,20 +123,9 @@ def harmonic_fill(values: np.ndarray, known: np.ndarray, domain: np.ndarray) -> 
 
 def _cast(mesh: HeadMesh, camera: Camera) -> dict[str, Any]:
     rays_o, rays_d = camera.rays()
-    return _scene(mesh).cast_rays(_tensor(np.concatenate([rays_o, rays_d], axis=-1)), nthreads=1)
+    return _scene(mesh).cast_rays(tensor(np.concatenate([rays_o, rays_d], axis=-1)), nthreads=1)
 
 
-def _scene(mesh: HeadMesh):
+def _scene(mesh: HeadMesh) -> Any:
     """The head for ray casting; its geometries are numbered as its parts."""
-    from open3d import t
-
-    scene = t.geometry.RaycastingScene(nthreads=1)
-    for part in (FACE, EYE_LEFT, EYE_RIGHT):
-        scene.add_triangles(_tensor(mesh.vertices), _tensor(mesh.part_faces(part), np.uint32))
-    return scene
-
-
-def _tensor(values: np.ndarray, kind: type = np.float32):
-    from open3d import core
-
-    return core.Tensor.from_numpy(np.ascontiguousarray(values, kind))
+    return ray_scene(mesh.vertices, *(mesh.part_faces(part) for part in (FACE, EYE_LEFT, EYE_RIGHT)))
