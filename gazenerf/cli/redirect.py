@@ -34,8 +34,8 @@ def run(options: Options) -> int:
     """Redirect, write, and print what was done."""
     from gazenerf.cli.libraries import naming_missing_libraries
 
-    if options.gaze is None and not options.look_at_camera and not options.grid:
-        raise UserError("say where the eyes shall look: --gaze PITCH YAW, --look-at-camera or --grid")
+    if not options.grid:
+        options.refuse_nowhere()
     with naming_missing_libraries():
         if options.photograph.is_dir():
             return _folder(options)

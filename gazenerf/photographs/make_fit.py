@@ -82,7 +82,7 @@ def make_fit(
         raise UserError(f"--out {out} must end in .safetensors")
     targets = [_targets(out, number) for number in range(len(photographs))]
     refuse_existing([file for files in targets for file in files], overwrite)
-    model = load_head_model(options.head_model) if options.head_model is not None else load_head_model()
+    model = load_head_model(options.head_model)
     started = time.perf_counter()
     fitted = fit_photographs(read_photographs(photographs, options), model, options.landmark_table)
     seconds = time.perf_counter() - started

@@ -55,6 +55,15 @@ class RedirectOptions(FitOptions):
         pitch, yaw = self.gaze or (0.0, 0.0)
         return f"requested gaze: pitch {pitch:g}, yaw {yaw:g} degrees, head frame"
 
+    def refuse_nowhere(self) -> None:
+        """Refuse options that ask for no gaze.
+
+        Raises:
+            UserError: they do.
+        """
+        if self.gaze is None and not self.look_at_camera:
+            raise UserError("say where the eyes shall look: --gaze PITCH YAW, --look-at-camera or --grid")
+
     def gazes(self, redirector: Redirector) -> Gaze | tuple[Gaze, Gaze]:
         """Of both eyes, or of the left and the right one.
 
@@ -63,8 +72,8 @@ class RedirectOptions(FitOptions):
         """
         if self.look_at_camera:
             return redirector.towards_camera()
-        if self.gaze is None:
-            raise UserError("say where the eyes shall look: --gaze PITCH YAW, --look-at-camera or --grid")
+        self.refuse_nowhere()
+        assert self.gaze is not None
         return Gaze.from_degrees(*self.gaze)
 
 
@@ -101,7 +110,7 @@ def prepare(photograph: Path, options: RedirectOptions, model: HeadModel | None 
     Raises:
         UserError: anything in the input that a user can mend.
     """
-    model = model or load_model(options)
+    model = model or load_head_model(options.head_model)
     try:
         if options.subject is not None:
             return Redirector(read_photograph(photograph), load_subject(options.subject), model), []
@@ -110,11 +119,6 @@ def prepare(photograph: Path, options: RedirectOptions, model: HeadModel | None 
         return Redirector(read.pixels, fitted.subject, model), fitted.warnings
     except UserError as error:
         raise UserError(f"{photograph.name}: {error}" if photograph.name not in str(error) else str(error)) from error
-
-
-def load_model(options: FitOptions) -> HeadModel:
-    """The head model that options name."""
-    return load_head_model(options.head_model) if options.head_model is not None else load_head_model()
 
 
 def make_redirect(
@@ -134,8 +138,7 @@ def make_redirect(
     """
     started = time.perf_counter()
     refuse_outputs(photograph, [out], overwrite)
-    if options.gaze is None and not options.look_at_camera:
-        raise UserError("say where the eyes shall look: --gaze PITCH YAW, --look-at-camera or --grid")
+    options.refuse_nowhere()
     redirector, warnings = prepare(photograph, options, model)
     redirected = redirector.draw(options.gazes(redirector))
     write_altered(out, redirected.pixels, photograph, options.requested, options.mark)

@@ -147,15 +147,15 @@ class Redirector:
         for gaze in pair:
             refuse_beyond(gaze)
         out = self.pixels.copy()
+        heads = {gaze: self._model.mesh(self._codes, gaze) for gaze in pair}
         for window, gaze in zip(self._windows, pair, strict=True):
             rows = slice(window.top, window.top + window.height)
             columns = slice(window.left, window.left + window.width)
-            out[rows, columns] = self._drawn(window, gaze, out[rows, columns])
+            out[rows, columns] = self._drawn(window, gaze, heads[gaze], out[rows, columns])
         return Redirected(out, (out != self.pixels).any(axis=-1), pair)
 
-    def _drawn(self, window: _Window, gaze: Gaze, before: np.ndarray) -> np.ndarray:
+    def _drawn(self, window: _Window, gaze: Gaze, target: HeadMesh, before: np.ndarray) -> np.ndarray:
         layers, unit = window.layers, self.unit * window.factor
-        target = self._model.mesh(self._codes, gaze)
         motion = lid_motion(self.mesh, target, layers.camera)
         centre = layers.eyeball.project(np.array([0.0, 0.0, 1.0]), layers.camera)
         away = np.linalg.norm(layers.camera.pixel_centres() - centre, axis=-1) / unit

@@ -12,9 +12,10 @@ from typing import Any
 
 from gazenerf.errors import UserError
 from gazenerf.files import read_json, refuse_existing, whole_file
+from gazenerf.head_model import load_head_model
 from gazenerf.options import to_dict
 from gazenerf.photographs.detector import photo_python
-from gazenerf.photographs.make_redirect import RedirectOptions, load_model, make_redirect
+from gazenerf.photographs.make_redirect import RedirectOptions, make_redirect
 from gazenerf.photographs.marking import SUFFIXES
 from gazenerf.photographs.picture import read_photograph
 
@@ -72,7 +73,7 @@ def redirect_folder(
         raise UserError(f"{folder} holds no pictures; give a folder of {', '.join(SUFFIXES)} files")
     record = _record(out, options, overwrite)
     photo_python(options.photo_python)
-    model, before = load_model(options), 0
+    model, before = load_head_model(options.head_model), 0
     for file in files:
         target, done = out / file.name, record["files"].get(file.name)
         if done is not None and (target.exists() or done["became"] == UNREADABLE):
