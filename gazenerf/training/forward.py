@@ -12,6 +12,7 @@ from gazenerf.field.sampling import RaySamples, shell_samples, slab_samples
 from gazenerf.training.batches import Batch, eye_crop
 from gazenerf.training.geometry_terms import TwoStreamRays, geometry_terms, pick
 from gazenerf.training.operations import REFERENCE, Operations
+from gazenerf.training.surface_samples import surface_samples
 
 
 @dataclass
@@ -50,29 +51,34 @@ def render_batch(
 
     Args:
         model: Its streams are `face` and `eyes`, or one `head`.
-        shell: Half width of the samples around the captured surface; None for the published slabs.
+        shell: Half width of the samples around the captured surface, or around the field's own where it knows
+            distances; None for the published slabs.
         samples: Samples per ray in the shell.
-        noise: Standard deviation of the shell's centre, world units.
+        noise: Standard deviation of the captured surface's place, world units; of fields of densities.
         jitter: Stratified samples; the middle of each interval otherwise.
         face_image, eyes_image: Render the streams' own pictures too.
         geometry: Compute the geometry terms (needs captured depth).
         operations: How pictures are drawn from feature maps.
     """
     maps = _Maps(model, batch, operations)
-    t, deltas = _samples(model, batch, shell, samples, noise, jitter)
+    conditions = {
+        name: model.condition(name, batch.shape_code, batch.appearance_code, maps.label) for name in model.streams
+    }
+    if shell is not None and model.config.geometry == "distance":
+        t, deltas = surface_samples(model, batch, conditions, shell, samples, jitter)
+    else:
+        t, deltas = _samples(model, batch, shell, samples, noise, jitter)
     points = batch.rays_o[:, :, None] + t[..., None] * batch.rays_d[:, :, None]
     window = batch.eye_corner * (model.config.image_size // maps.size)
 
     first = "face" if model.config.streams == "two" else "head"
-    first_condition = model.condition(first, batch.shape_code, batch.appearance_code, maps.label)
-    face = model.samples(first, points, first_condition)
+    face = model.samples(first, points, conditions[first])
     face_alone = composite_stream(face, deltas)
     face_map = maps.whole(face_alone, batch.rays)
     if first == "head":
         return TrainingRender(maps.picture(maps.turn(face_map)), None, window, None)
 
-    eyes_condition = model.condition("eyes", batch.shape_code, batch.appearance_code, maps.label)
-    eyes = model.samples("eyes", pick(points, batch.eye_rays), eyes_condition)
+    eyes = model.samples("eyes", pick(points, batch.eye_rays), conditions["eyes"])
     eye_deltas, eye_pixels = pick(deltas, batch.eye_rays), batch.rays.gather(1, batch.eye_rays)
     eyes_map = maps.whole(composite_stream(eyes, eye_deltas), eye_pixels)
     face_near = StreamSamples(pick(face.density, batch.eye_rays), pick(face.features, batch.eye_rays), face.project)
@@ -85,7 +91,7 @@ def render_batch(
 
     terms: dict[str, torch.Tensor] = {}
     if geometry:
-        rays = TwoStreamRays(t, face.density, face_alone, joint, first_condition, eyes_condition)
+        rays = TwoStreamRays(t, face.density, face_alone, joint, conditions["face"], conditions["eyes"])
         terms = geometry_terms(model, batch, rays)
     whole, face_alone_image = maps.pictures(merged, face_map if face_image else None)
     eyes_alone_image = maps.eye_crop(eyes_map, turn=model.config.merge == "joint") if eyes_image else None

@@ -17,15 +17,16 @@ _FREE = {
     "samples",
     "initialisation",
     "background",
+    "surface_spread",
 }
-"""Settings that mean nothing to weights: where they are sampled, what they saw, what they began as."""
+"""Settings that mean nothing to weights: where they are sampled, what they saw, what they began as, how sharply a
+surface of distances is drawn."""
 
 _GEOMETRY = {
     "geometry",
     "distance_width",
     "distance_frequencies",
     "distance_template",
-    "surface_spread",
     "density_activation",
 }
 """Settings that may differ where a field of densities is to go on with its features on a surface of distances."""

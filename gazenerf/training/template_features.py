@@ -1,0 +1,222 @@
+"""Features of a field of distances moved from points in space to places on the template.
+
+A brow that is learned where it lies on the template lies right on everybody, and stays on the skin when that moves. A
+field that learned its features at points is taught to itself: at points about the surfaces of the head model's people
+the new features are to be what the old ones are there. No picture is looked at.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+
+from gazenerf.data.surface_points import SurfacePoints
+from gazenerf.errors import UserError
+from gazenerf.field.model import TwoStreamField
+from gazenerf.files import whole_file
+from gazenerf.progress import Progress, silent
+from gazenerf.training.distances import PARTS, DistanceOptions, draw_points
+from gazenerf.training.record import read_state
+
+STATE = "features.pt"
+
+PEOPLE, POINTS = 8, {"face": 512, "eyes": 128}
+"""Of a step: people, and points of each about a surface."""
+
+ABOUT = 0.006
+"""Standard deviation, world units, of the points from the surface: where densities give features a say."""
+
+CHECKED, CHECK_SEED, CHECK_POINTS = 16, 7919, 800
+"""People never learned from on whom the result is measured, the seed that draws them, and points of each."""
+
+ABSOLUTE = 0.3
+"""Weight of the mean absolute difference beside the mean squared one, both in each channel's own spread."""
+
+WARMUP, LAST_RATE = 50, 0.02
+"""Steps of linear warm-up, and the share of the learning rate at which the cosine ends."""
+
+
+@dataclass(frozen=True)
+class FeatureOptions:
+    """How features are moved.
+
+    Attributes:
+        steps: Optimiser steps.
+        people: How many people are drawn to learn from.
+        learning_rate: Peak learning rate of Adam.
+        seed: Seeds people and steps.
+    """
+
+    steps: int
+    people: int
+    learning_rate: float = 1e-3
+    seed: int = 3
+
+
+def move_features(
+    field: TwoStreamField,
+    options: FeatureOptions,
+    out: Path,
+    *,
+    resume: bool = False,
+    save_every: int = 250,
+    progress: Progress = silent,
+) -> tuple[TwoStreamField, dict[str, float]]:
+    """A copy of a field whose features are those of places on the template.
+
+    Writes `features.pt` (to resume) to `out`.
+
+    Args:
+        field: Of geometry `distance`, its features at `points`.
+        options: See `FeatureOptions`.
+        out: Folder of the run.
+        resume: Continue from `out/features.pt` where it is there.
+        save_every: Steps between states.
+        progress: Told about people and steps.
+
+    Returns:
+        The copy, and for each part how far its features are from the field's on people never learned from, root mean
+        square in each channel's own spread.
+
+    Raises:
+        UserError: the field is of another kind or takes other codes than the head model, or a state that does not fit.
+    """
+    limits = field.config.trained_gaze_range
+    if field.config.geometry != "distance" or field.config.features_at != "points" or limits is None:
+        raise UserError("a field of distances with features at points, which knows its trained gaze range, is needed")
+    drawn = DistanceOptions(options.steps, options.people, options.learning_rate, limits, options.seed)
+    device = next(field.parameters()).device
+
+    def people(count: int, seed: int) -> dict[str, SurfacePoints]:
+        return {part: some.to(device) for part, some in draw_points(field, drawn, count, seed, progress).items()}
+
+    unseen = people(CHECKED, CHECK_SEED)
+    moving = _Moving(field, on_template(field), people(options.people, options.seed), unseen, options)
+    if resume and (out / STATE).is_file():
+        moving.load(out)
+    while moving.step < options.steps:
+        loss = moving.advance()
+        progress(f"features, loss {loss:.4f}", moving.step, options.steps)
+        if moving.step % save_every == 0 or moving.step == options.steps:
+            moving.save(out)
+    return moving.moved, {part: moving.difference(part, unseen[part]) for part in PARTS}
+
+
+def on_template(field: TwoStreamField) -> TwoStreamField:
+    """A copy of a field of distances that queries its features at places on the template; its weights are the same."""
+    config = replace(field.config, features_at="template")
+    moved = TwoStreamField(config).to(next(field.parameters()).device)
+    moved.load_state_dict(field.state_dict())
+    moved.about = copy.deepcopy(field.about)
+    return moved.eval()
+
+
+class _Moving:
+    """Features on their way.
+
+    Attributes:
+        moved: The field that learns them.
+        step: Steps done.
+    """
+
+    def __init__(
+        self,
+        field: TwoStreamField,
+        moved: TwoStreamField,
+        people: dict[str, SurfacePoints],
+        unseen: dict[str, SurfacePoints],
+        options: FeatureOptions,
+    ) -> None:
+        self._field, self.moved, self._people, self._options = field, moved, people, options
+        self.step = 0
+        moved.requires_grad_(False)
+        named = [item for part in PARTS for item in moved.stream(part).named_parameters()]
+        self._parameters = [value.requires_grad_() for name, value in named if not name.startswith("distance.")]
+        self._optimizer = torch.optim.Adam(self._parameters, lr=options.learning_rate)
+        self._spread: dict[str, torch.Tensor] = {}
+        for part, some in unseen.items():
+            which = torch.arange(len(some), device=some.surface.device)
+            known = self._features(field, part, some, which, self._points(some, which, CHECK_POINTS, self._generator(0)))
+            self._spread[part] = known.detach().flatten(0, 1).std(0).clamp(min=1e-3)
+
+    def _generator(self, step: int) -> torch.Generator:
+        return torch.Generator().manual_seed(self._options.seed * 1_000_003 + step)
+
+    @staticmethod
+    def _points(some: SurfacePoints, people: torch.Tensor, count: int, generator: torch.Generator) -> torch.Tensor:
+        """(B, N, 3) about the surfaces of some people (B,)."""
+        device = some.surface.device
+        chosen = torch.randint(some.surface.shape[1], (count,), generator=generator).to(device)
+        away = ABOUT * torch.randn(len(people), count, 1, generator=generator).to(device)
+        return some.surface[people][:, chosen] + away * some.normals[people][:, chosen]
+
+    @staticmethod
+    def _features(
+        field: TwoStreamField, part: str, some: SurfacePoints, people: torch.Tensor, points: torch.Tensor
+    ) -> torch.Tensor:
+        """Features (B, N, C) of a stream at points (B, N, 3)."""
+        label = field.label(some.gaze[people])
+        condition = field.condition(part, some.shape_code[people], some.appearance_code[people], label)
+        density, hidden = field.query(part, points, condition)
+        return field.stream(part).project(hidden, torch.ones_like(density))
+
+    def _off(self, part: str, some: SurfacePoints, people: torch.Tensor, points: torch.Tensor) -> torch.Tensor:
+        """(B, N, C) by how much the new features miss the old ones, over their spread."""
+        with torch.no_grad():
+            wanted = self._features(self._field, part, some, people, points)
+        return (self._features(self.moved, part, some, people, points) - wanted) / self._spread[part]
+
+    def advance(self) -> float:
+        """One step; its loss."""
+        options, generator = self._options, self._generator(self.step)
+        fallen = 0.5 * (1.0 + math.cos(math.pi * self.step / max(1, options.steps)))
+        rate = min(1.0, (self.step + 1) / WARMUP) * (LAST_RATE + (1.0 - LAST_RATE) * fallen)
+        for group in self._optimizer.param_groups:
+            group["lr"] = options.learning_rate * rate
+        terms = []
+        for part, some in self._people.items():
+            people = torch.randint(len(some), (PEOPLE,), generator=generator).to(some.surface.device)
+            off = self._off(part, some, people, self._points(some, people, POINTS[part], generator))
+            terms.append(off.square().mean() + ABSOLUTE * off.abs().mean())
+        loss = torch.stack(terms).sum()
+        self._optimizer.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self._parameters, 1.0)
+        self._optimizer.step()
+        self.step += 1
+        value = float(loss.detach())
+        if not math.isfinite(value):
+            raise UserError(f"the loss of the features is not finite at step {self.step}; lower the learning rate")
+        return value
+
+    @torch.no_grad()
+    def difference(self, part: str, some: SurfacePoints) -> float:
+        """Root mean square of `_off` on all of some people."""
+        people = torch.arange(len(some), device=some.surface.device)
+        points = self._points(some, people, CHECK_POINTS, self._generator(0))
+        return float(self._off(part, some, people, points).square().mean().sqrt())
+
+    def save(self, out: Path) -> None:
+        """Write the state to resume from."""
+        state = {"field": self.moved.state_dict(), "optimizer": self._optimizer.state_dict(), "step": self.step}
+        with whole_file(out / STATE) as temporary:
+            torch.save(state, temporary)
+
+    def load(self, out: Path) -> None:
+        """Go on from what `save` wrote.
+
+        Raises:
+            UserError: it is of another field.
+        """
+        state = read_state(out / STATE)
+        try:
+            self.moved.load_state_dict(state["field"])
+            self._optimizer.load_state_dict(state["optimizer"])
+        except (KeyError, ValueError, RuntimeError) as error:
+            reason = " ".join(str(error).split())[:200]
+            raise UserError(f"cannot resume from {out / STATE} ({reason}); it is of another field") from error
+        self.step = int(state["step"])
