@@ -1,9 +1,11 @@
 """Join two sets of captures for training: everybody of the first, with more views of some people from the second.
 
 python scripts/join_captures.py --base people --more watched --held-out 12 13 --out learned
+python scripts/join_captures.py --base people --others strangers --held-out 12 13 --out learned
 
-Shards are linked, not copied. Both sets must show the same head model, seed and size, so that the same person
-and view is the same capture in both; people named by --held-out are left out of the result.
+Shards are linked where they stay as they are. With --more both sets must show the same head model, seed and size, so
+that the same person and view is the same capture in both. With --others the second set shows other people, of another seed, who are
+numbered on from the first. People of the first named by --held-out are left out of the result.
 """
 
 from __future__ import annotations
@@ -11,37 +13,59 @@ from __future__ import annotations
 import argparse
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
-from gazenerf.data.storage import read_manifest, write_manifest
+from gazenerf.data.storage import read_manifest, read_shard, write_manifest, write_shard
 from gazenerf.errors import UserError
 
 COUNTS = {"people", "views"}
 """What may differ between the manifests of two sets that show the same people."""
 
 
-def join(base: Path, more: Path, out: Path, held_out: set[int]) -> int:
+def join(base: Path, more: Path, out: Path, held_out: set[int], others: bool = False) -> int:
     """Write the joined set; how many shards it has.
 
+    Args:
+        base, more: Folders of captures.
+        out: Folder to write.
+        held_out: People of `base` to leave out.
+        others: `more` shows other people.
+
     Raises:
-        UserError: a set is missing, they show other people, or `out` holds another set.
+        UserError: a set is missing, they do not fit together, or `out` holds another set.
     """
     manifests = [{k: v for k, v in read_manifest(folder).items() if k != "format"} for folder in (base, more)]
-    first, second = ({k: v for k, v in manifest.items() if k not in COUNTS} for manifest in manifests)
+    may_differ = COUNTS | {"seed"} if others else COUNTS
+    first, second = ({k: v for k, v in manifest.items() if k not in may_differ} for manifest in manifests)
     differing = sorted(key for key in first.keys() | second.keys() if first.get(key) != second.get(key))
     if differing:
         raise UserError(f"{base} and {more} differ in {', '.join(differing)}; synthesize both with the same settings")
-    chosen: dict[str, Path] = {}
-    for folder in (base, more):
-        for shard in sorted(folder.glob("person-*.npz")):
-            if _person(shard) not in held_out:
-                chosen[shard.name] = shard
+    if others and manifests[0]["seed"] == manifests[1]["seed"]:
+        raise UserError(f"{base} and {more} show the same people; synthesize the others with another --seed")
+    sets = (base,) if others else (base, more)
+    chosen = {shard.name: shard for folder in sets for shard in _shards(folder) if _person(shard) not in held_out}
     out.mkdir(parents=True, exist_ok=True)
     joined = {"people": manifests[1]["people"], "views": manifests[1]["views"]}
-    write_manifest(out, {**manifests[0], "more_views": joined, "left_out": sorted(held_out)})
+    about = {**manifests[0], "left_out": sorted(held_out)}
+    if others:
+        everybody = manifests[0]["people"] + manifests[1]["people"]
+        about |= {"people": everybody, "other_people": {**joined, "seed": manifests[1]["seed"]}}
+    else:
+        about["more_views"] = joined
+    write_manifest(out, about)
     for name, shard in chosen.items():
         _link(shard, out / name)
-    return len(chosen)
+    if not others:
+        return len(chosen)
+    for shard in _shards(more):
+        first = manifests[0]["people"]
+        write_shard(out, [replace(capture, person=first + capture.person) for capture in read_shard(shard)])
+    return len(chosen) + len(_shards(more))
+
+
+def _shards(folder: Path) -> list[Path]:
+    return sorted(folder.glob("person-*.npz"))
 
 
 def _person(shard: Path) -> int:
@@ -60,12 +84,14 @@ def main() -> None:
     """Join and report."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--base", type=Path, required=True)
-    parser.add_argument("--more", type=Path, required=True)
+    second = parser.add_mutually_exclusive_group(required=True)
+    second.add_argument("--more", type=Path, help="more views of the same people")
+    second.add_argument("--others", type=Path, help="other people")
     parser.add_argument("--held-out", type=int, nargs="*", default=[])
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()
     try:
-        shards = join(args.base, args.more, args.out, set(args.held_out))
+        shards = join(args.base, args.more or args.others, args.out, set(args.held_out), others=args.others is not None)
     except UserError as error:
         parser.exit(2, f"join_captures: {error}\n")
     print(f"joined {shards} shards into {args.out}")

@@ -48,13 +48,14 @@ class SurfacePoints:
     """Points of P people about the surface of one part.
 
     Attributes:
-        shape_code: (P, I + E); gaze: (P, 2) pitch up and yaw left, radians.
+        shape_code: (P, I + E); appearance_code: (P, T + L); gaze: (P, 2) pitch up and yaw left, radians.
         surface, normals: (P, S, 3) points on it and unit outward normals.
         places: (P, S, 3) the same points of the template, see `template_of`.
         points: (P, N, 3) about it; distance: (P, N) theirs, negative inside, world units.
     """
 
     shape_code: torch.Tensor
+    appearance_code: torch.Tensor
     gaze: torch.Tensor
     surface: torch.Tensor
     normals: torch.Tensor
@@ -115,7 +116,7 @@ def points_of(
     points = np.concatenate([near, anywhere]).astype(np.float32)
     label = np.array([gaze.pitch, gaze.yaw], np.float32)
     distance = signed_distance(mesh.vertices, faces, points)
-    arrays = codes.shape_code, label, surface, normals, places, points, distance
+    arrays = codes.shape_code, codes.appearance_code, label, surface, normals, places, points, distance
     return SurfacePoints(*(torch.from_numpy(np.asarray(value, np.float32))[None] for value in arrays))
 
 

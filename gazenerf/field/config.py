@@ -42,6 +42,8 @@ class FieldConfig:
         distance_width: Width of that network; distance_frequencies: octaves of its encoding; distance_template:
             width of the network that moves points to their places on the mean head first.
         surface_spread: Scale, world units, over which its density rises at the surface.
+        features_at: Where features are queried: at `points`, as published, or, of fields of distances, at their
+            places on the `template`, where brows, lips and irises lie in the same place whoever it is.
         metres_per_unit: Size of a world unit.
         sampler: How pictures are sampled: `slabs` (published) or `guided` (found surface, then a shell).
         shell: Half width of the guided shell, world units; shell_samples: its samples per ray.
@@ -79,6 +81,7 @@ class FieldConfig:
     distance_frequencies: int = 9
     distance_template: int = 64
     surface_spread: float = 0.01
+    features_at: str = "points"
     metres_per_unit: float = 0.1
     sampler: str = "slabs"
     shell: float = 0.25
@@ -107,6 +110,7 @@ class FieldConfig:
         need(0 < self.distance_width <= MAX_CHANNELS and 0 < self.distance_frequencies <= 32, "distance out of range")
         need(0 < self.distance_template <= MAX_CHANNELS, "distance_template out of range")
         need(self.geometry != "distance" or self.streams == "two", "distances need two streams")
+        need(self.features_at != "template" or self.geometry == "distance", "places on a template need distances")
         need(0 < self.frequencies <= 32 and 1 < self.samples <= MAX_SAMPLES, "frequencies or samples out of range")
         need(1 < self.shell_samples <= MAX_SAMPLES and self.shell > 0, "shell out of range")
         need(self.z_near > self.z_far, "z_near must be above z_far")
@@ -199,6 +203,7 @@ _CHOICES: dict[str, tuple[str, ...]] = {
     "background": ("ones", "zeros"),
     "density_activation": ("relu", "softplus"),
     "geometry": ("density", "distance"),
+    "features_at": ("points", "template"),
     "initialisation": ("he", "default"),
     "sampler": ("slabs", "guided"),
 }

@@ -164,9 +164,13 @@ class DistanceNetwork(nn.Module):
         Half a unit in float16 is exact to half a millimetre only, which would be the grain of the surface.
         """
         batch, rest = points.shape[0], points.shape[1:-1]
-        places = self.places(points.reshape(batch, -1, 3), condition)
+        return self.with_places(points.reshape(batch, -1, 3), condition)[0].reshape(batch, *rest)
+
+    def with_places(self, points: torch.Tensor, condition: DistanceCondition) -> tuple[torch.Tensor, torch.Tensor]:
+        """Distances (B, N) at points (B, N, 3), and the points' places on the template (B, N, 3), float32."""
+        places = self.places(points, condition)
         with torch.autocast(points.device.type, enabled=False):
-            return self.at(places, condition).reshape(batch, *rest)
+            return self.at(places, condition), places
 
     def at(self, places: torch.Tensor, condition: DistanceCondition) -> torch.Tensor:
         """Distances (B, N) of points whose places on the template (B, N, 3) are known, float32, world units."""

@@ -124,6 +124,13 @@ class Stream(nn.Module):
         def spread(code: torch.Tensor) -> torch.Tensor:
             return code.reshape(code.shape[0], *(1,) * middle, -1).expand(*points.shape[:-1], -1)
 
+        distance = None
+        if self.distance is not None:
+            known = self.distance.condition(shape_code, gaze_label)
+            distance, places = self.distance.with_places(points.flatten(1, -2), known)
+            distance = distance.reshape(points.shape[:-1])
+            if self.config.features_at == "template":
+                points = places.reshape(points.shape)
         inputs = torch.cat(
             [positional_encoding(points, self.config.frequencies), spread(self._codes(shape_code, gaze_label))], dim=-1
         )
@@ -132,8 +139,7 @@ class Stream(nn.Module):
             if i == self.config.skip_after:
                 hidden = torch.cat([inputs, hidden], dim=-1)
             hidden = F.relu(layer(hidden))
-        if self.distance is not None:
-            distance = self.distance(points, self.distance.condition(shape_code, gaze_label))
+        if distance is not None:
             density = laplace_density(distance, self.config.surface_spread)
         else:
             assert self.density is not None
@@ -178,13 +184,17 @@ class Stream(nn.Module):
         """
         batch, rest = points.shape[0], points.shape[1:-1]
         density = None
-        if self.distance is not None:
-            density = laplace_density(self.signed_distance(points, condition), self.config.surface_spread)
-            if not features:
-                return density, density.new_empty(0)
         if condition.pose is not None:
             points = condition.pose.straight_ahead(points)
-        encoded = positional_encoding(points.reshape(batch, -1, 3), self.config.frequencies)
+        points = points.reshape(batch, -1, 3)
+        if self.distance is not None and condition.distance is not None:
+            distance, places = self.distance.with_places(points, condition.distance)
+            density = laplace_density(distance, self.config.surface_spread).reshape(batch, *rest)
+            if not features:
+                return density, density.new_empty(0)
+            if self.config.features_at == "template":
+                points = places
+        encoded = positional_encoding(points, self.config.frequencies)
         if torch.is_autocast_enabled(points.device.type):
             encoded = encoded.to(torch.get_autocast_dtype(points.device.type))
         channels, inputs = encoded.shape[-1], self.inputs

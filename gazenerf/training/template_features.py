@@ -140,7 +140,9 @@ class _Moving:
         self._spread: dict[str, torch.Tensor] = {}
         for part, some in unseen.items():
             which = torch.arange(len(some), device=some.surface.device)
-            known = self._features(field, part, some, which, self._points(some, which, CHECK_POINTS, self._generator(0)))
+            known = self._features(
+                field, part, some, which, self._points(some, which, CHECK_POINTS, self._generator(0))
+            )
             self._spread[part] = known.detach().flatten(0, 1).std(0).clamp(min=1e-3)
 
     def _generator(self, step: int) -> torch.Generator:

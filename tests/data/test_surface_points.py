@@ -60,6 +60,6 @@ def test_people_are_joined_and_look_within_the_range() -> None:
     drawn = [draw_person(rng, model, (10.0, 20.0))[1] for _ in range(40)]
     pitch, yaw = np.abs([gaze.degrees for gaze in drawn]).max(0)
     assert 7.0 < pitch <= 10.0 and 14.0 < yaw <= 20.0 and Gaze() in drawn
-    one = SurfacePoints(*(torch.rand(1, *shape) for shape in ((3,), (2,), (5, 3), (5, 3), (5, 3), (6, 3), (6,))))
+    one = SurfacePoints(*(torch.rand(1, *shape) for shape in ((3,), (4,), (2,), (5, 3), (5, 3), (5, 3), (6, 3), (6,))))
     both = SurfacePoints.joined([one, one])
     assert len(both) == 2 and both.points.shape == (2, 6, 3) and torch.equal(both.gaze[0], both.gaze[1])

@@ -10,7 +10,13 @@ import torch
 from scipy import stats
 
 from gazenerf.checkpoints import load_field, save_field
-from gazenerf.field.distance import DistanceNetwork, laplace_density
+from gazenerf.field.distance import (
+    MOVING_FALL,
+    MOVING_FREQUENCIES,
+    DistanceNetwork,
+    laplace_density,
+    scaled_encoding,
+)
 from gazenerf.field.model import TwoStreamField
 from gazenerf.field.streams import Stream
 from tests.field_doubles import tiny_config
@@ -54,10 +60,11 @@ def test_points_move_in_proportion_to_codes_and_with_the_gaze_where_it_moves_the
     assert torch.equal(elsewhere, mean) == (name == "eyes")
 
 
+@pytest.mark.parametrize("features_at", ["points", "template"])
 @pytest.mark.parametrize("eye_motion", ["feature_rotation", "rigid"])
-def test_folded_query_equals_reference(eye_motion: str) -> None:
+def test_folded_query_equals_reference(eye_motion: str, features_at: str) -> None:
     torch.manual_seed(0)
-    config = distance_config(eye_motion=eye_motion)
+    config = distance_config(eye_motion=eye_motion, features_at=features_at)
     for name in ("face", "eyes"):
         stream = Stream(config, name).eval()
         points, shape = torch.randn(2, 5, 7, 3), torch.randn(2, config.identity + config.expression)
@@ -73,6 +80,33 @@ def test_folded_query_equals_reference(eye_motion: str) -> None:
         torch.testing.assert_close(stream.feature_2(hidden), features, atol=1e-4, rtol=1e-4)
         elsewhere = stream.query(points, stream.condition(shape, look, label + 0.3), features=False)[0]
         assert bool((elsewhere != alone).any()) == (name == "face" or eye_motion != "rigid")
+
+
+def test_features_are_those_of_the_place_on_the_template() -> None:
+    torch.manual_seed(0)
+    config = distance_config(features_at="template", eye_motion="rigid")
+    stream = Stream(config, "eyes").eval()
+    encoded = 3 + 6 * config.frequencies
+    look, label = torch.randn(1, config.texture + config.illumination), torch.zeros(1, 2)
+    with torch.no_grad():
+        for layer in (stream.trunk[0], stream.trunk[config.skip_after]):
+            layer.weight[:, encoded : stream.inputs] = 0.0  # type: ignore[index]  # codes act by the move alone
+        stream.distance.move.matrix.weight.mul_(30.0)  # type: ignore[union-attr]
+        person, other = torch.randn(2, 1, config.identity + config.expression)
+        places = torch.rand(1, 6, 3)
+        seen = []
+        for codes in (person, other):
+            condition = stream.condition(codes, look, label)
+            move = stream.distance.move  # type: ignore[union-attr]
+            hidden = scaled_encoding(places, MOVING_FREQUENCIES, MOVING_FALL)
+            for layer in move.layers:
+                hidden = torch.nn.functional.silu(layer(hidden))
+            points = places - hidden @ condition.distance.move.mT  # type: ignore[union-attr]
+            found = stream.distance.places(points, condition.distance)  # type: ignore[union-attr, arg-type]
+            seen.append((points, (found - places).norm(dim=-1).max(), stream.query(points, condition)[1]))
+    (here, off, features), (there, _, same) = seen
+    assert float((here - there).norm(dim=-1).min()) > 10.0 * float(off)
+    torch.testing.assert_close(features, same, atol=0.02, rtol=0.0)
 
 
 def test_distances_stay_exact_under_autocast() -> None:
@@ -109,3 +143,5 @@ def test_distances_need_two_streams() -> None:
         distance_config(streams="one")
     with pytest.raises(ValueError, match="surface_spread is 0"):
         distance_config(surface_spread=0.0)
+    with pytest.raises(ValueError, match="places on a template need distances"):
+        tiny_config(features_at="template")

@@ -26,7 +26,7 @@ def join():
 
 def write_set(folder: Path, captures, people: int, views: int, **about) -> Path:
     folder.mkdir()
-    write_manifest(folder, {"people": people, "views": views, "seed": 1, "code_sizes": [4, 3, 5, 27], **about})
+    write_manifest(folder, {"people": people, "views": views, "seed": 1, "code_sizes": [4, 3, 5, 27]} | about)
     for person in range(people):
         write_shard(folder, [c for c in captures if c.person == person and c.view < views])
     return folder
@@ -43,6 +43,17 @@ def test_more_views_take_the_place_of_few_and_held_out_people_are_left_out(toy_c
     join(base, more, tmp_path / "some", {0})
     assert CaptureSet(tmp_path / "some").people == [1]
     assert CaptureSet(base).people == [0, 1] and len(CaptureSet(base)) == 4, "the sets themselves stay"
+
+
+def test_other_people_are_numbered_on(toy_captures, tmp_path, join):
+    base = write_set(tmp_path / "base", toy_captures, people=2, views=2)
+    others = write_set(tmp_path / "others", toy_captures, people=2, views=2, seed=2)
+    assert join(base, others, tmp_path / "all", {0}, others=True) == 3
+    manifest = read_manifest(tmp_path / "all")
+    assert CaptureSet(tmp_path / "all").people == [1, 2, 3]
+    assert manifest["people"] == 4 and manifest["other_people"] == {"people": 2, "views": 2, "seed": 2}
+    with pytest.raises(UserError, match="show the same people"):
+        join(base, base, tmp_path / "twice", set(), others=True)
 
 
 def test_sets_of_other_people_are_not_joined(toy_captures, tmp_path, join):
