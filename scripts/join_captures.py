@@ -4,8 +4,8 @@ python scripts/join_captures.py --base people --more watched --held-out 12 13 --
 python scripts/join_captures.py --base people --others strangers --held-out 12 13 --out learned
 
 Shards are linked where they stay as they are. With --more both sets must show the same head model, seed and size, so
-that the same person and view is the same capture in both. With --others the second set shows other people, of another seed, who are
-numbered on from the first. People of the first named by --held-out are left out of the result.
+that the same person and view is the same capture in both. With --others the second set shows other
+people, of another seed, who are numbered on from the first. People of the first named by --held-out are left out.
 """
 
 from __future__ import annotations
