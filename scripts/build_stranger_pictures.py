@@ -4,7 +4,7 @@ python scripts/build_stranger_pictures.py docs/images/strangers.webp --checkpoin
 python scripts/build_stranger_pictures.py docs/images/eyes.webp --eyes --checkpoint portrait portrait-sdf
 
 Without --eyes: twelve people from three sides, the head model above and the first field below. With --eyes: the eyes
-of one of them at nine gazes, three times as large as they are drawn, the head model first and then a row for each field.
+of one of them at nine gazes, three times as large as drawn, the head model first and then a row for each field.
 """
 
 from __future__ import annotations
