@@ -25,6 +25,8 @@ from gazenerf.geometry import Camera
 from gazenerf.geometry.camera_options import CAMERA, CameraPathOptions
 from gazenerf.geometry.cameras import NEUTRAL_DISTANCE, NEUTRAL_FOV
 from gazenerf.geometry.paths import CAMERA_PATHS, check_frames
+from gazenerf.heads.backgrounds import BackgroundOptions
+from gazenerf.heads.cutouts import render_cut_out
 from gazenerf.heads.interface import PARTS, BoundField, GeometryView, Part, RenderedView
 from gazenerf.options import option, to_dict
 from gazenerf.progress import Progress, silent
@@ -46,7 +48,7 @@ RINGS = "rings"
 
 
 @dataclass(frozen=True, kw_only=True)
-class DatasetOptions(CameraPathOptions):
+class DatasetOptions(BackgroundOptions, CameraPathOptions):
     """A dataset of pictures.
 
     Attributes:
@@ -75,7 +77,8 @@ class DatasetOptions(CameraPathOptions):
         object.__setattr__(self, "layouts", tuple(dict.fromkeys(self.layouts)))
 
     def check(self) -> None:
-        """Raise UserError for an unknown part or layout, or no points."""
+        """Raise UserError for an unknown part, layout or colour, or no points."""
+        self.chosen_background()
         if unknown := sorted(set(self.layouts) - set(LAYOUTS)):
             raise UserError(f"unknown layout {unknown[0]!r}; there are {', '.join(LAYOUTS)}")
         if self.part not in PARTS:
@@ -145,6 +148,9 @@ def write_dataset(
     `options.depth` also `depth/0000.npy`, (H, W) float32 camera z in millimetres, 0 where nothing is seen, which is
     what nerfstudio takes without further options; and `masks/0000.png.png`, white where something is seen, by the names
     that COLMAP looks for.
+    With a background, pictures have it, or an opacity where it is `transparent`; masks are written too, and are where
+    opacity is at least half. A transforms.json of transparent pictures names no masks: nerfstudio does not look at what
+    a mask hides, but learns that a place is empty from the opacity.
     Positions are in metres, so that meshes of the same head lie in the same place.
 
     Args:
@@ -168,7 +174,9 @@ def write_dataset(
         raise UserError("give at least one camera and one layout")
     out = Path(out)
     written = {"pictures": out / "images", "points": out / "points.ply", "about": out / "dataset.json"}
-    written |= {"depth": out / "depth", "masks": out / "masks"} if options.depth else {}
+    background = options.chosen_background()
+    beside = [name for name, wanted in (("depth", options.depth), ("masks", options.depth or background)) if wanted]
+    written |= {name: out / name for name in beside}
     written |= {"nerfstudio": out / "transforms.json"} if "nerfstudio" in layouts else {}
     written |= {"colmap": out / "sparse" / "0"} if "colmap" in layouts else {}
     refuse_existing(written.values(), overwrite)
@@ -177,15 +185,20 @@ def write_dataset(
     seen: list[SeenPoints] = []
     rng = np.random.default_rng(0)
     with whole_folder(out) as folder:
-        for name in ("images", "depth", "masks") if options.depth else ("images",):
+        for name in ("images", *beside):
             (folder / name).mkdir()
         for i, camera in enumerate(cameras):
-            view = bound.render(camera, (part,))
-            pixels = np.clip(np.round(255.0 * view.images[part]), 0, 255).astype(np.uint8)
+            view = bound.render(camera, (part,)) if background is None else render_cut_out(bound, camera, (part,))
+            pixels = view.pixels(part) if background is None else background.picture(view.cutouts[part])
             Image.fromarray(pixels).save(folder / "images" / names[i])
             seen.append(_seen_points(view, part, -(-points // len(cameras)), rng))
+            solid = None if background is None else view.cutouts[part][..., 3] >= 0.5
             if options.depth:
-                _write_depth(bound.render_geometry(camera, part), folder, names[i], scale)
+                geometry = bound.render_geometry(camera, part)
+                _write_depth(geometry, folder, names[i], scale)
+                solid = np.isfinite(geometry.depth) if solid is None else solid
+            if solid is not None:
+                _write_mask(solid, folder, names[i])
             progress("rendering", i + 1, len(cameras))
         metric = [in_metres(camera, scale) for camera in cameras]
         cloud = [SeenPoints(shown.pixels, scale * shown.points, shown.colours) for shown in seen]
@@ -197,7 +210,8 @@ def write_dataset(
         )
         write_points(everything, 1.0, folder / "points.ply")
         if "nerfstudio" in layouts:
-            text = json.dumps(transforms(metric, names, options.depth), indent=1, allow_nan=False)
+            masked = options.depth and (background is None or background.colour is not None)
+            text = json.dumps(transforms(metric, names, options.depth, masked), indent=1, allow_nan=False)
             (folder / "transforms.json").write_text(text + "\n", encoding="ascii")
         if "colmap" in layouts:
             model = folder / "sparse" / "0"
@@ -231,9 +245,12 @@ def _seen_points(view: RenderedView, part: Part, count: int, rng: np.random.Gene
 
 
 def _write_depth(seen: GeometryView, folder: Path, name: str, metres_per_unit: float) -> None:
-    """Camera z of a picture in millimetres, and its mask."""
+    """Camera z of a picture in millimetres."""
     np.save(folder / "depth" / depth_name(name), np.nan_to_num(metres_per_unit / DEPTH_UNIT * seen.depth_z))
-    Image.fromarray(np.where(np.isfinite(seen.depth), 255, 0).astype(np.uint8)).save(folder / "masks" / mask_name(name))
+
+
+def _write_mask(solid: np.ndarray, folder: Path, name: str) -> None:
+    Image.fromarray(np.where(solid, 255, 0).astype(np.uint8)).save(folder / "masks" / mask_name(name))
 
 
 def depth_name(picture: str) -> str:
@@ -246,8 +263,10 @@ def mask_name(picture: str) -> str:
     return f"{picture}.png"
 
 
-def transforms(cameras: Sequence[Camera], names: Sequence[str], depth: bool = False) -> dict[str, Any]:
-    """The content of a transforms.json: intrinsics of each frame, poses with OpenGL camera axes, and depth in mm."""
+def transforms(
+    cameras: Sequence[Camera], names: Sequence[str], depth: bool = False, masks: bool = False
+) -> dict[str, Any]:
+    """The content of a transforms.json: intrinsics of each frame, poses with OpenGL camera axes, depth in mm, masks."""
     frames: list[dict[str, Any]] = [
         {
             "file_path": f"images/{name}",
@@ -262,11 +281,10 @@ def transforms(cameras: Sequence[Camera], names: Sequence[str], depth: bool = Fa
         for camera, name in zip(cameras, names, strict=True)
     ]
     content = {"camera_model": "OPENCV", "ply_file_path": "points.ply", "frames": frames}
-    if not depth:
-        return content
     for frame, name in zip(frames, names, strict=True):
-        frame |= {"depth_file_path": f"depth/{depth_name(name)}", "mask_path": f"masks/{mask_name(name)}"}
-    return {"depth_unit_scale_factor": DEPTH_UNIT, **content}
+        frame |= {"depth_file_path": f"depth/{depth_name(name)}"} if depth else {}
+        frame |= {"mask_path": f"masks/{mask_name(name)}"} if masks else {}
+    return {"depth_unit_scale_factor": DEPTH_UNIT, **content} if depth else content
 
 
 def colmap_model(cameras: Sequence[Camera], names: Sequence[str], seen: Sequence[SeenPoints]) -> dict[str, str]:
