@@ -27,6 +27,12 @@ def mesh_rows(report: MeshReport) -> dict[str, object]:
     return rows
 
 
+def mesh_facts(report: MeshReport) -> Facts:
+    """Part, `rig` and `sequence` to what their sidecars say."""
+    parts: Facts = {part: written.facts for part, written in report.parts.items()}
+    return parts | {name: scene.facts for name, scene in report.scenes.items()}
+
+
 def part_line(written: WrittenPart) -> str:
     """One part in one line: size, whether it is closed, voxels, threshold, distance from the rendered depth."""
     facts = written.facts

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shlex
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -91,6 +90,8 @@ def run(options: Options) -> int:
     if (options.out / RECORD).exists() and not options.overwrite:
         raise UserError(f"{options.out} holds an earlier demo; add --overwrite or choose another --out")
     _check_writable(options.out)
+    from gazenerf.cli.common import warn
+
     started = time.perf_counter()
     head = options.load()
     outcomes: dict[str, Outcome] = {}
@@ -99,7 +100,7 @@ def run(options: Options) -> int:
         print(f"[{number}/{len(plan)}] {stage.line}", flush=True)
         outcomes[stage.name] = outcome = run_stage(stage, head)
         if outcome.left_out:
-            print(f"gazenerf: warning: {stage.name} left out: {outcome.left_out}", file=sys.stderr)
+            warn(f"{stage.name} left out: {outcome.left_out}")
     seconds = time.perf_counter() - started
     _finish(options.out, plan, outcomes, seconds)
     if any(outcome.left_out and not outcome.excused for outcome in outcomes.values()):
@@ -210,4 +211,4 @@ def _finish(out: Path, plan: list[Stage], outcomes: dict[str, Outcome], seconds:
         temporary.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
     files = sorted(path for path in out.rglob("*") if path.is_file())
     rows |= {str(path.relative_to(out)): file_size(path) for path in files}
-    summary_table(f"demo in {out}, {seconds:.0f} s", rows)
+    summary_table(f"demo in {out}, {seconds:.0f} s", rows, record, files)

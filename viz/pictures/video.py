@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -166,7 +167,7 @@ def _write_webp(path: Path, frames: Iterator[np.ndarray], fps: float) -> None:
     pictures = [Image.fromarray(frame) for frame in frames]
     ends = np.round(1000.0 / fps * np.arange(len(pictures) + 1)).astype(int)
     durations = np.diff(ends).tolist()
-    whole = {"kmin": 1, "kmax": 1} if pictures[0].mode == "RGBA" else {}
+    whole: dict[str, Any] = {"kmin": 1, "kmax": 1} if pictures[0].mode == "RGBA" else {}
     # frames as differences lose a transparency that is the same in all of them
     pictures[0].save(
         path, save_all=True, append_images=pictures[1:], duration=durations, loop=0, quality=88, method=4, **whole

@@ -124,7 +124,7 @@ def test_pictures_before_nothing_have_an_opacity_and_masks(tmp_path):
     white = write_dataset(field, tmp_path / "w", cameras, DatasetOptions(points=20, background="white"))
     pixels = np.asarray(Image.open(white["pictures"] / "0001.png"))
     assert pixels.shape[2] == 3 and (pixels[~seen] == 255).all() and (white["masks"] / "0000.png.png").exists()
-    shown = read_frames(tmp_path / "t").images()[1]
+    shown = read_frames(tmp_path / "t").images[1]
     assert (np.asarray(shown)[~seen] > 0.99).all(), "our own check reads what is not there as white"
 
 
