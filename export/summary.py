@@ -44,6 +44,12 @@ def part_line(written: WrittenPart) -> str:
     return line + ("" if off is None else f", {off:.2f} mm median from the rendered depth")
 
 
+def rig_line(facts: Facts) -> str:
+    """A rig in one line."""
+    left, right = (facts[side]["radius_mm"] for side in ("eye_left", "eye_right"))
+    return f"eyeballs of {left:.2f} and {right:.2f} mm that turn, lids that follow; index.html shows it in any browser"
+
+
 def _part_rows(part: str, written: WrittenPart) -> dict[str, object]:
     extracted, about = written.extracted, written.facts
     rows: dict[str, object] = {f"{part} {kind}": path for kind, path in written.files.items()}
