@@ -52,7 +52,7 @@ def damage(path: Path, rng: np.random.Generator) -> str:
         ways += [_header] * 4
     if path.suffix == ".npz":
         ways += [_arrays] * 3
-    if path.suffix in (".txt", ".csv", ".nrrd"):
+    if path.suffix in (".txt", ".csv", ".nrrd", ".toml"):
         ways += [_digits] * 3
     way = ways[rng.integers(len(ways))]
     way(path, rng)

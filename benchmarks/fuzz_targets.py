@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from PIL import Image
 
+from benchmarks.fuzz_texts import read_reports, read_some_options, write_options, write_reports
 from gazenerf.checkpoints import import_official, load_field, save_field
 from gazenerf.data import CaptureSet
 from gazenerf.data.captures import Capture
@@ -214,5 +215,7 @@ TARGETS: dict[str, Target] = {
     "head-model": Target(_head_model, _each(load_head_model, "head.npz")),
     "published": Target(_published, _each(import_official, "a.pth", "b.pth")),
     "volume": Target(_volume, _each(read_nrrd, "v.nrrd")),
+    "report": Target(write_reports, read_reports),
+    "options": Target(write_options, read_some_options),
 }
 """Kind of file to how it is written and read."""

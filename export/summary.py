@@ -27,6 +27,12 @@ def mesh_rows(report: MeshReport) -> dict[str, object]:
     return rows
 
 
+def mesh_facts(report: MeshReport) -> Facts:
+    """Part, `rig` and `sequence` to what their sidecars say."""
+    parts: Facts = {part: written.facts for part, written in report.parts.items()}
+    return parts | {name: scene.facts for name, scene in report.scenes.items()}
+
+
 def part_line(written: WrittenPart) -> str:
     """One part in one line: size, whether it is closed, voxels, threshold, distance from the rendered depth."""
     facts = written.facts
@@ -36,6 +42,12 @@ def part_line(written: WrittenPart) -> str:
         line += f", threshold {facts['threshold_per_world_unit']:g}"
     off = facts.get("depth_disagreement_mm")
     return line + ("" if off is None else f", {off:.2f} mm median from the rendered depth")
+
+
+def rig_line(facts: Facts) -> str:
+    """A rig in one line."""
+    left, right = (facts[side]["radius_mm"] for side in ("eye_left", "eye_right"))
+    return f"eyeballs of {left:.2f} and {right:.2f} mm that turn, lids that follow; index.html shows it in any browser"
 
 
 def _part_rows(part: str, written: WrittenPart) -> dict[str, object]:

@@ -74,16 +74,17 @@ def to_dict(options: object, kind: type | None = None) -> dict[str, Any]:
         kind: A class that they inherit from, for its fields alone.
     """
     fields = dataclasses.fields(kind or options)  # type: ignore[arg-type]
-    return {field.name: _plain(getattr(options, field.name)) for field in fields}
+    return {field.name: plain(getattr(options, field.name)) for field in fields}
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """A value of an option as JSON holds it: paths as text, tuples as lists, NaN and infinity as text."""
     if isinstance(value, Path):
         return str(value)
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, (tuple, list)):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)
     return value

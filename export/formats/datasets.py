@@ -10,21 +10,29 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from PIL import Image
-from scipy.spatial.transform import Rotation
 
 from gazenerf.errors import UserError
 from gazenerf.export.appearance.colours import sample
 from gazenerf.export.appearance.points import PointCloud, write_points
+from gazenerf.export.formats.dataset_cameras import (
+    DEPTH_UNIT,
+    SeenPoints,
+    colmap_model,
+    depth_name,
+    mask_name,
+    transforms,
+)
 from gazenerf.export.formats.files import common_facts, write_sidecar
 from gazenerf.files import refuse_existing, whole_folder
 from gazenerf.geometry import Camera
 from gazenerf.geometry.camera_options import CAMERA, CameraPathOptions
 from gazenerf.geometry.cameras import NEUTRAL_DISTANCE, NEUTRAL_FOV
 from gazenerf.geometry.paths import CAMERA_PATHS, check_frames
+from gazenerf.heads.backgrounds import BackgroundOptions
+from gazenerf.heads.cutouts import render_cut_out
 from gazenerf.heads.interface import PARTS, BoundField, GeometryView, Part, RenderedView
 from gazenerf.options import option, to_dict
 from gazenerf.progress import Progress, silent
@@ -38,15 +46,11 @@ POINTS = 30_000
 SOLID = 0.95
 """Opacity from which a pixel gives a point."""
 
-
-DEPTH_UNIT = 0.001
-"""What one step of depth is in the unit of the poses; nerfstudio takes this unless it is told otherwise."""
-
 RINGS = "rings"
 
 
 @dataclass(frozen=True, kw_only=True)
-class DatasetOptions(CameraPathOptions):
+class DatasetOptions(BackgroundOptions, CameraPathOptions):
     """A dataset of pictures.
 
     Attributes:
@@ -75,7 +79,8 @@ class DatasetOptions(CameraPathOptions):
         object.__setattr__(self, "layouts", tuple(dict.fromkeys(self.layouts)))
 
     def check(self) -> None:
-        """Raise UserError for an unknown part or layout, or no points."""
+        """Raise UserError for an unknown part, layout or colour, or no points."""
+        self.chosen_background()
         if unknown := sorted(set(self.layouts) - set(LAYOUTS)):
             raise UserError(f"unknown layout {unknown[0]!r}; there are {', '.join(LAYOUTS)}")
         if self.part not in PARTS:
@@ -93,21 +98,6 @@ class DatasetOptions(CameraPathOptions):
             return super().cameras()
         self.check_camera()
         return rings(self.frames, size=self.size, distance=self.distance, fov=float(np.deg2rad(self.fov)))
-
-
-@dataclass(frozen=True)
-class SeenPoints:
-    """Points on the surface that one picture shows.
-
-    Attributes:
-        pixels: (N, 2) image coordinates in the picture.
-        points: (N, 3) world units.
-        colours: (N, 3) uint8 sRGB.
-    """
-
-    pixels: np.ndarray
-    points: np.ndarray
-    colours: np.ndarray
 
 
 def rings(
@@ -145,6 +135,9 @@ def write_dataset(
     `options.depth` also `depth/0000.npy`, (H, W) float32 camera z in millimetres, 0 where nothing is seen, which is
     what nerfstudio takes without further options; and `masks/0000.png.png`, white where something is seen, by the names
     that COLMAP looks for.
+    With a background, pictures have it, or an opacity where it is `transparent`; masks are written too, and are where
+    opacity is at least half. A transforms.json of transparent pictures names no masks: nerfstudio does not look at what
+    a mask hides, but learns that a place is empty from the opacity.
     Positions are in metres, so that meshes of the same head lie in the same place.
 
     Args:
@@ -168,7 +161,9 @@ def write_dataset(
         raise UserError("give at least one camera and one layout")
     out = Path(out)
     written = {"pictures": out / "images", "points": out / "points.ply", "about": out / "dataset.json"}
-    written |= {"depth": out / "depth", "masks": out / "masks"} if options.depth else {}
+    background = options.chosen_background()
+    beside = [name for name, wanted in (("depth", options.depth), ("masks", options.depth or background)) if wanted]
+    written |= {name: out / name for name in beside}
     written |= {"nerfstudio": out / "transforms.json"} if "nerfstudio" in layouts else {}
     written |= {"colmap": out / "sparse" / "0"} if "colmap" in layouts else {}
     refuse_existing(written.values(), overwrite)
@@ -177,15 +172,20 @@ def write_dataset(
     seen: list[SeenPoints] = []
     rng = np.random.default_rng(0)
     with whole_folder(out) as folder:
-        for name in ("images", "depth", "masks") if options.depth else ("images",):
+        for name in ("images", *beside):
             (folder / name).mkdir()
         for i, camera in enumerate(cameras):
-            view = bound.render(camera, (part,))
-            pixels = np.clip(np.round(255.0 * view.images[part]), 0, 255).astype(np.uint8)
+            view = bound.render(camera, (part,)) if background is None else render_cut_out(bound, camera, (part,))
+            pixels = view.pixels(part) if background is None else background.picture(view.cutouts[part])
             Image.fromarray(pixels).save(folder / "images" / names[i])
             seen.append(_seen_points(view, part, -(-points // len(cameras)), rng))
+            solid = None if background is None else view.cutouts[part][..., 3] >= 0.5
             if options.depth:
-                _write_depth(bound.render_geometry(camera, part), folder, names[i], scale)
+                geometry = bound.render_geometry(camera, part)
+                _write_depth(geometry, folder, names[i], scale)
+                solid = np.isfinite(geometry.depth) if solid is None else solid
+            if solid is not None:
+                _write_mask(solid, folder, names[i])
             progress("rendering", i + 1, len(cameras))
         metric = [in_metres(camera, scale) for camera in cameras]
         cloud = [SeenPoints(shown.pixels, scale * shown.points, shown.colours) for shown in seen]
@@ -197,7 +197,8 @@ def write_dataset(
         )
         write_points(everything, 1.0, folder / "points.ply")
         if "nerfstudio" in layouts:
-            text = json.dumps(transforms(metric, names, options.depth), indent=1, allow_nan=False)
+            masked = options.depth and (background is None or background.colour is not None)
+            text = json.dumps(transforms(metric, names, options.depth, masked), indent=1, allow_nan=False)
             (folder / "transforms.json").write_text(text + "\n", encoding="ascii")
         if "colmap" in layouts:
             model = folder / "sparse" / "0"
@@ -231,72 +232,9 @@ def _seen_points(view: RenderedView, part: Part, count: int, rng: np.random.Gene
 
 
 def _write_depth(seen: GeometryView, folder: Path, name: str, metres_per_unit: float) -> None:
-    """Camera z of a picture in millimetres, and its mask."""
+    """Camera z of a picture in millimetres."""
     np.save(folder / "depth" / depth_name(name), np.nan_to_num(metres_per_unit / DEPTH_UNIT * seen.depth_z))
-    Image.fromarray(np.where(np.isfinite(seen.depth), 255, 0).astype(np.uint8)).save(folder / "masks" / mask_name(name))
 
 
-def depth_name(picture: str) -> str:
-    """The depth file of a picture."""
-    return str(Path(picture).with_suffix(".npy"))
-
-
-def mask_name(picture: str) -> str:
-    """The mask of a picture: its name and another ending, as COLMAP looks for it."""
-    return f"{picture}.png"
-
-
-def transforms(cameras: Sequence[Camera], names: Sequence[str], depth: bool = False) -> dict[str, Any]:
-    """The content of a transforms.json: intrinsics of each frame, poses with OpenGL camera axes, and depth in mm."""
-    frames: list[dict[str, Any]] = [
-        {
-            "file_path": f"images/{name}",
-            "fl_x": camera.fx,
-            "fl_y": camera.fy,
-            "cx": camera.cx,
-            "cy": camera.cy,
-            "w": camera.width,
-            "h": camera.height,
-            "transform_matrix": camera.world_from_opengl_camera.tolist(),
-        }
-        for camera, name in zip(cameras, names, strict=True)
-    ]
-    content = {"camera_model": "OPENCV", "ply_file_path": "points.ply", "frames": frames}
-    if not depth:
-        return content
-    for frame, name in zip(frames, names, strict=True):
-        frame |= {"depth_file_path": f"depth/{depth_name(name)}", "mask_path": f"masks/{mask_name(name)}"}
-    return {"depth_unit_scale_factor": DEPTH_UNIT, **content}
-
-
-def colmap_model(cameras: Sequence[Camera], names: Sequence[str], seen: Sequence[SeenPoints]) -> dict[str, str]:
-    """The texts of a COLMAP model: cameras.txt, images.txt, points3D.txt; each point in one picture's track."""
-    lenses: dict[tuple[float, ...], int] = {}
-    images, points, first = [], [], 1
-    for i, (camera, name, shown) in enumerate(zip(cameras, names, seen, strict=True), 1):
-        lens = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
-        number = lenses.setdefault(lens, len(lenses) + 1)
-        pose = camera.camera_from_world
-        x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat()
-        images.append(f"{i} {_numbers((w, x, y, z, *pose[:3, 3]))} {number} {name}")
-        ids = range(first, first + len(shown.points))
-        images.append(" ".join(f"{u:.3f} {v:.3f} {n}" for (u, v), n in zip(shown.pixels, ids, strict=True)))
-        points += [
-            f"{n} {p[0]:.9g} {p[1]:.9g} {p[2]:.9g} {c[0]} {c[1]} {c[2]} 0 {i} {k}"
-            for k, (n, p, c) in enumerate(zip(ids, shown.points, shown.colours, strict=True))
-        ]
-        first += len(shown.points)
-    listed = [f"{number} PINHOLE {lens[0]} {lens[1]} {_numbers(lens[2:])}" for lens, number in lenses.items()]
-    return {
-        "cameras.txt": _text("CAMERA_ID MODEL WIDTH HEIGHT FX FY CX CY", listed),
-        "images.txt": _text("IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then X Y POINT3D_ID of its points", images),
-        "points3D.txt": _text("POINT3D_ID X Y Z R G B ERROR IMAGE_ID POINT2D_IDX", points),
-    }
-
-
-def _numbers(values: Sequence[float]) -> str:
-    return " ".join(repr(float(value)) for value in values)
-
-
-def _text(columns: str, lines: Sequence[str]) -> str:
-    return "\n".join([f"# {columns}; metres", *lines]) + "\n"
+def _write_mask(solid: np.ndarray, folder: Path, name: str) -> None:
+    Image.fromarray(np.where(solid, 255, 0).astype(np.uint8)).save(folder / "masks" / mask_name(name))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -51,9 +52,22 @@ class SourceArguments:
             UserError: the field or the subject cannot be read or do not fit, nothing is bundled, or there is no such
                 device.
         """
+        from gazenerf.checkpoints import BUNDLED
+        from gazenerf.cli.report import current
         from gazenerf.loading import load
 
-        return load(self.subject, self.checkpoint, self.device, self.precision)
+        started = time.perf_counter()
+        head = load(self.subject, self.checkpoint, self.device, self.precision)
+        report = current()
+        report.took("loading", time.perf_counter() - started)
+        report.choose(
+            subject=head.subject.name,
+            field=self.checkpoint or BUNDLED.stem,
+            weights=head.weights_hash,
+            device=head.device,
+            precision=str(head.dtype).removeprefix("torch."),
+        )
+        return head
 
 
 @dataclass(frozen=True, kw_only=True)

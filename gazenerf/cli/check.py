@@ -16,6 +16,7 @@ from gazenerf.viz.check.options import CheckOptions, parse_limits
 if TYPE_CHECKING:
     from gazenerf.heads import Head
     from gazenerf.progress import Progress
+    from gazenerf.viz.check.frames_check import FramesResult
     from gazenerf.viz.check.result import CheckResult
     from gazenerf.viz.metrics.definitions import Metric
 
@@ -73,27 +74,17 @@ class Options(CheckOptions, ReportArguments, GazeArguments, SourceArguments):
 def run(options: Options) -> int:
     """Measure, write, report; 1 when a threshold is crossed."""
     if options.list_metrics:
-        return _list_metrics()
+        from gazenerf.cli.check_tables import list_metrics
+
+        return list_metrics()
     if options.compare is not None:
-        return _compare(options, options.compare)
+        from gazenerf.cli.check_tables import compare
+        from gazenerf.viz.report.comparison import PAGE
+
+        if options.fail_on:
+            raise UserError("--fail-on gates a measurement, not a comparison; leave it out with --compare")
+        return compare(options.compare, None if options.out is None else options.place(PAGE))
     return _check_field(options) if options.frames is None else _check_frames(options, options.frames)
-
-
-def _list_metrics() -> int:
-    """Print the metrics of both checks, by the names that reports and --fail-on use."""
-    from rich.console import Console
-    from rich.table import Column, Table
-
-    from gazenerf.viz.metrics.families import CHECK_DEFINITIONS, FRAMES_DEFINITIONS
-
-    console = Console()
-    for title, definitions in (("gazenerf check", CHECK_DEFINITIONS), ("gazenerf check --frames", FRAMES_DEFINITIONS)):
-        table = Table(Column("metric", no_wrap=True), "unit", "passes", "what it says", title=title)
-        for one in definitions:
-            sign = ">=" if one.higher_is_better else "<="
-            table.add_row(one.name, one.unit, f"{sign} {one.passes:g}", one.meaning)
-        console.print(table)
-    return 0
 
 
 def measure(options: Options, head: Head, progress: Progress) -> tuple[CheckResult, dict[str, Path]]:
@@ -136,7 +127,8 @@ def _check_field(options: Options) -> int:
     rows: dict[str, object] = dict(files)
     rows |= _metric_rows(result.metrics)
     rows |= {f"{name} could not start": fix for name, fix in result.missing.items()}
-    summary_table(f"check of {head.subject.name}", rows | _last_rows(result.notes, crossed))
+    rows |= _last_rows(result.notes, crossed)
+    summary_table(f"check of {head.subject.name}", rows, _facts(result, crossed) | {"missing": result.missing})
     return 1 if crossed else 0
 
 
@@ -162,34 +154,18 @@ def _check_frames(options: Options, folder: Path) -> int:
     crossed = result.crossed(options.fail_on)
     rows: dict[str, object] = {"report": page, "numbers": numbers} | _metric_rows(result.metrics)
     rows |= {f"{what}: not measured": why for what, why in result.unmeasured.items()}
-    summary_table(f"check of the frames of {name}", rows | _last_rows(result.notes, crossed))
+    rows |= _last_rows(result.notes, crossed)
+    summary_table(f"check of the frames of {name}", rows, _facts(result, crossed) | {"unmeasured": result.unmeasured})
     return 1 if crossed else 0
 
 
-def _compare(options: Options, reports: tuple[Path, Path]) -> int:
-    from rich.console import Console
-    from rich.table import Table
-
-    from gazenerf.viz.check.compare import compare_reports
-    from gazenerf.viz.report.comparison import PAGE, summary, terminal_rows, write_comparison
-
-    if options.fail_on:
-        raise UserError("--fail-on gates a measurement, not a comparison; leave it out with --compare")
-    comparison = compare_reports(*reports)
-    out = None if options.out is None else options.place(PAGE)
-    table = Table(title="second against first", title_justify="left")
-    for heading in ("", *comparison.names, "change", "second is"):
-        table.add_column(heading, overflow="fold")
-    for row in terminal_rows(comparison):
-        table.add_row(*row)
-    console = Console(markup=False, highlight=False)
-    console.print(table)
-    console.print(summary(comparison))
-    for difference in comparison.differences:
-        console.print(f"not made alike: {difference}")
-    if out is not None:
-        console.print(f"page: {write_comparison(comparison, out)}")
-    return 0
+def _facts(result: CheckResult | FramesResult, crossed: Sequence[str]) -> dict[str, object]:
+    """What is measured, for programs: metric to value, error bar, unit and verdict."""
+    metrics = {
+        metric.name: {"value": metric.value, "error": metric.error, "unit": metric.unit, "verdict": metric.verdict}
+        for metric in result.metrics
+    }
+    return {"metrics": metrics, "notes": result.notes, "thresholds_crossed": crossed}
 
 
 def _metric_rows(metrics: Sequence[Metric]) -> dict[str, object]:

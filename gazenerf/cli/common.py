@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsed
 from rich.progress import Progress as ProgressLine
 from rich.table import Table
 
+from gazenerf.cli.report import Report, current
 from gazenerf.progress import Progress
 
 PROGRESS_VARIABLE = "GAZENERF_PROGRESS"
@@ -29,8 +30,10 @@ def showing_progress(show: bool = True) -> Iterator[Progress]:
     variable `GAZENERF_PROGRESS` is `lines`, every step that is told at least `LINE_SECONDS` after the one before is a
     line `progress: STAGE DONE/TOTAL` instead, for programs that run commands.
     """
+    report = current()
+    show = show and not report.options.quiet
     if show and os.environ.get(PROGRESS_VARIABLE) == "lines":
-        yield _line_teller()
+        yield _timed(report, _line_teller())
         return
     columns = (
         TextColumn("{task.description}"),
@@ -44,19 +47,33 @@ def showing_progress(show: bool = True) -> Iterator[Progress]:
     console = Console(stderr=True)
     with ProgressLine(*columns, console=console, disable=not (show and sys.stderr.isatty()), transient=True) as bar:
         task = bar.add_task("", total=None, rate="")
-        current = ""
+        shown = ""
 
         def tell(stage: str, done: int, total: int, /) -> None:
-            nonlocal current, task
+            nonlocal shown, task
             name = stage.partition(",")[0]
-            if name != current:
+            if name != shown:
                 bar.remove_task(task)
-                task, current = bar.add_task(stage, total=total, rate=""), name
+                task, shown = bar.add_task(stage, total=total, rate=""), name
             bar.update(task, description=stage, completed=done, total=total)
             speed = bar.tasks[0].speed
             bar.update(task, rate="" if speed is None else f"{speed:.2f}/s")
 
-        yield tell
+        yield _timed(report, tell)
+
+
+def _timed(report: Report, tell: Progress) -> Progress:
+    """A progress that also keeps how long each stage took."""
+    last = time.perf_counter()
+
+    def timed(stage: str, done: int, total: int, /) -> None:
+        nonlocal last
+        now = time.perf_counter()
+        report.took(stage.partition(",")[0], now - last)
+        last = now
+        tell(stage, done, total)
+
+    return timed
 
 
 def _line_teller() -> Progress:
@@ -74,16 +91,31 @@ def _line_teller() -> Progress:
 
 def warn(text: str) -> None:
     """Print a one-line warning on standard error."""
-    print(f"gazenerf: warning: {' '.join(text.split())}", file=sys.stderr)
+    current().warn(text)
 
 
-def summary_table(title: str, rows: Mapping[str, object]) -> None:
-    """Print what was written and measured.
+def summary_table(
+    title: str,
+    rows: Mapping[str, object],
+    measured: Mapping[str, object] | None = None,
+    written: Iterable[Path] = (),
+) -> None:
+    """Print what was written and measured, or keep it for the JSON object that `--json` asks for.
 
     Args:
         title: What was done.
-        rows: Name to value; a `Path` that exists is shown with its size.
+        rows: Name to value; a `Path` is something that was written, and is shown with its size where it is a file.
+        measured: Name to value, for programs; the rows that are no paths by default.
+        written: What was written beside the rows' paths.
     """
+    report = current()
+    paths = [value for value in rows.values() if isinstance(value, Path)]
+    report.add(
+        [*paths, *written],
+        measured if measured is not None else {k: v for k, v in rows.items() if not isinstance(v, Path)},
+    )
+    if not report.for_people:
+        return
     table = Table(title=title, title_justify="left", show_header=False)
     table.add_column(no_wrap=True)
     table.add_column(overflow="fold")

@@ -6,6 +6,7 @@ import argparse
 import sys
 from dataclasses import dataclass
 
+from gazenerf.cli.report import current, shown
 from gazenerf.options import option
 
 HELP = "print a shell completion script"
@@ -42,5 +43,9 @@ def run(options: Options) -> int:
 
     from gazenerf.cli.main import build_parser
 
-    sys.stdout.write(shtab.complete(build_parser(), shell=options.shell))
+    script = shtab.complete(build_parser(), shell=options.shell)
+    current().add(measured={"shell": options.shell, "script": script})
+    with shown() as as_text:
+        if as_text:
+            sys.stdout.write(script)
     return 0

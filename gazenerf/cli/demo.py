@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shlex
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -23,6 +22,12 @@ from gazenerf.progress import Progress
 HELP = "orbit, gaze grid, meshes and check of the bundled subject in one folder"
 
 RECORD = "demo.json"
+
+TEXTURE = 1024
+"""Texels along a side of the textures of parts and rig."""
+
+QUICK_GAZES = 2
+"""Gazes at which the quick check looks at the eyes: straight ahead and one other, so that gaze is measured."""
 
 Measured = dict[str, str]
 """Name to value, as the closing table shows it."""
@@ -91,6 +96,8 @@ def run(options: Options) -> int:
     if (options.out / RECORD).exists() and not options.overwrite:
         raise UserError(f"{options.out} holds an earlier demo; add --overwrite or choose another --out")
     _check_writable(options.out)
+    from gazenerf.cli.common import warn
+
     started = time.perf_counter()
     head = options.load()
     outcomes: dict[str, Outcome] = {}
@@ -99,7 +106,7 @@ def run(options: Options) -> int:
         print(f"[{number}/{len(plan)}] {stage.line}", flush=True)
         outcomes[stage.name] = outcome = run_stage(stage, head)
         if outcome.left_out:
-            print(f"gazenerf: warning: {stage.name} left out: {outcome.left_out}", file=sys.stderr)
+            warn(f"{stage.name} left out: {outcome.left_out}")
     seconds = time.perf_counter() - started
     _finish(options.out, plan, outcomes, seconds)
     if any(outcome.left_out and not outcome.excused for outcome in outcomes.values()):
@@ -121,12 +128,13 @@ def stages(options: Options) -> list[Stage]:
     source["overwrite"] = True
     check_options = check.Options(out=out / "check", **source)
     if options.quick:
-        check_options = replace(check_options, views=3, gazes=1, size=128, error_mesh=False)
+        check_options = replace(check_options, views=3, gazes=QUICK_GAZES, size=128, iris_size=256, error_mesh=False)
     frames, resolution = (24, 96) if options.quick else (90, 160)
+    rig: dict[str, Any] = {"texture": TEXTURE, "rig": True, "page": True}
     return [
         Stage("orbit", orbit.Options(out=out / "orbit.mp4", frames=frames, gaze_path="circle", **source), make_orbit),
         Stage("sheet", sheet.Options(out=out / "gaze-grid.png", **source), make_sheet),
-        Stage("mesh", mesh.Options(out=out / "meshes", resolution=resolution, **source), make_meshes),
+        Stage("mesh", mesh.Options(out=out / "meshes", resolution=resolution, **rig, **source), make_meshes),
         Stage("check", check_options, make_check),
     ]
 
@@ -166,12 +174,13 @@ def make_sheet(options: sheet.Options, head: Head, progress: Progress) -> tuple[
 def make_meshes(options: mesh.Options, head: Head, progress: Progress) -> tuple[Measured, bool]:
     """The meshes."""
     from gazenerf.export.pipeline import mesh_subject
-    from gazenerf.export.summary import part_line
+    from gazenerf.export.summary import part_line, rig_line
 
     report = mesh_subject(
         head, options.out, options, gaze=options.checked_gaze(), overwrite=options.overwrite, progress=progress
     )
-    return {part: part_line(written) for part, written in report.parts.items()}, False
+    measured = {part: part_line(written) for part, written in report.parts.items()}
+    return measured | {"rig": rig_line(report.scenes["rig"].facts)}, False
 
 
 def make_check(options: check.Options, head: Head, progress: Progress) -> tuple[Measured, bool]:
@@ -210,4 +219,4 @@ def _finish(out: Path, plan: list[Stage], outcomes: dict[str, Outcome], seconds:
         temporary.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
     files = sorted(path for path in out.rglob("*") if path.is_file())
     rows |= {str(path.relative_to(out)): file_size(path) for path in files}
-    summary_table(f"demo in {out}, {seconds:.0f} s", rows)
+    summary_table(f"demo in {out}, {seconds:.0f} s", rows, record, files)

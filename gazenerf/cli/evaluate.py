@@ -24,10 +24,18 @@ SHOWN = {
 
 def run(options: EvaluateOptions) -> int:
     """Measure, write the report, print the tables."""
+    from gazenerf.checkpoints import BUNDLED
     from gazenerf.cli.common import showing_progress
+    from gazenerf.cli.report import current
+    from gazenerf.devices import choose_device
 
+    report = current()
+    report.choose(field=options.checkpoint or BUNDLED.stem, device=choose_device(options.device))
     with showing_progress() as progress:
         found = evaluate(options, progress)
+    report.add([found.file], {"groups": found.groups, "people": found.people, "left_out": found.left_out})
+    if not report.for_people:
+        return 0
     console = Console()
     _print(console, found)
     for name, why in found.left_out.items():

@@ -30,5 +30,6 @@ def run(options: Options) -> int:
             head.at(gaze), options.out, cameras, options, overwrite=options.overwrite, progress=progress
         )
     rows = {"size": f"{len(cameras)} pictures of {options.size}x{options.size}", "units": "metres"}
-    summary_table(f"dataset of {head.subject.name}", written | rows)
+    measured = {"pictures": len(cameras), "width": options.size, "height": options.size, "units": "metres"}
+    summary_table(f"dataset of {head.subject.name}", written | rows, measured)
     return 0

@@ -54,5 +54,6 @@ def run(options: Options) -> int:
             "face drawn": "not visible" if psnr is None else f"{psnr:.1f} dB in the face oval",
             "note": "the field is not fine-tuned to this person: it draws a similar stranger",
         }
-        summary_table(f"fit of {fitted.provenance['photograph']}", rows)
+        name = str(fitted.provenance["photograph"])
+        summary_table(f"fit of {name}", rows, {name: {"gaze_degrees": (pitch, yaw), **left}})
     return 0

@@ -57,5 +57,10 @@ def run(options: Options) -> int:
         "codes": "identity {}, expression {}, texture {}, illumination {}".format(*config.code_sizes),
         "weights hash": load_field(options.out).weights_hash,
     }
-    summary_table("imported checkpoint", rows)
+    measured = {
+        "streams": list(found.field.streams), "image_size": config.image_size, "feature_size": config.feature_size,
+        "feature_channels": config.feature_channels, "parameters": sum(value.numel() for value in weights.values()),
+        "code_sizes": config.code_sizes, "weights_hash": rows["weights hash"], "ignored": found.ignored,
+    }  # fmt: skip
+    summary_table("imported checkpoint", rows, measured)
     return 0

@@ -9,13 +9,17 @@ import re
 import sys
 import warnings
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from types import ModuleType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from gazenerf import __version__
-from gazenerf.cli.parser import add_options, parsed
+from gazenerf.cli.option_files import FileArguments, check_target, merged, missing, read_options, save_options
+from gazenerf.cli.parser import add_options, flag_of, given, made, parsed
+from gazenerf.cli.report import SpeechOptions, current, reporting
 from gazenerf.errors import UserError
 from gazenerf.names import did_you_mean
+from gazenerf.options import options_of
 
 COMMANDS = {
     "demo": "orbit, gaze grid, meshes and check of the bundled subject in one folder",
@@ -38,6 +42,11 @@ COMMANDS = {
 
 INTERRUPTED = 130
 BROKEN_PIPE = 141
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommonOptions(SpeechOptions, FileArguments):
+    """What every command takes."""
 
 
 class Parser(argparse.ArgumentParser):
@@ -81,12 +90,13 @@ def _module(name: str) -> str:
     return f"gazenerf.cli.{name.replace('-', '_')}"
 
 
-def build_parser(configured: Iterable[str] | None = None) -> argparse.ArgumentParser:
+def build_parser(configured: Iterable[str] | None = None, relaxed: bool = False) -> argparse.ArgumentParser:
     """The parser of the whole command line.
 
     Args:
         configured: Commands whose modules are loaded and whose arguments are added; the others are
             only listed, which keeps `gazenerf --help` quick. All that are installed by default.
+        relaxed: Nothing has to be given, since a file of options may give it.
     """
     if configured is None:
         configured = [name for name in COMMANDS if is_installed(name)]
@@ -102,8 +112,11 @@ def build_parser(configured: Iterable[str] | None = None) -> argparse.ArgumentPa
         command = commands.add_parser(name, help=line, description=f"{line[0].upper()}{line[1:]}.")
         if name in configured:
             module = load_command(name)
+            own = []
             if hasattr(module, "Options"):
-                add_options(command, module.Options)
+                add_options(command, module.Options, relaxed=relaxed)
+                own = [flag_of(field, about) for field, about in options_of(module.Options).items()]
+            add_options(command, CommonOptions, but=own)
             if hasattr(module, "configure"):
                 module.configure(command)
     return parser
@@ -122,9 +135,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     asked = words[0] if words else ""
     warnings.showwarning = _one_line
     try:
-        args = build_parser([asked] if asked in COMMANDS else []).parse_args(words)
+        relaxed = any(word.partition("=")[0] == "--options" for word in words)
+        parser = build_parser([asked] if asked in COMMANDS else [], relaxed)
+        args = parser.parse_args(words)
         module = load_command(args.command)
-        code = module.run(parsed(module.Options, args) if hasattr(module, "Options") else args)
+        common = parsed(CommonOptions, args)
+        with reporting(common) as report:
+            code = _run(module, parser, args, common) if hasattr(module, "Options") else module.run(args)
+            report.close(args.command, code)
         sys.stdout.flush()
         return code
     except UserError as error:
@@ -146,8 +164,40 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
 
 
+def _run(module: ModuleType, parser: argparse.ArgumentParser, args: argparse.Namespace, files: FileArguments) -> int:
+    """Run a command with the options that were typed and those of a file, and save them where that is asked for.
+
+    They are saved when the command has ended, also by Ctrl-C, but not when something in them is to be mended.
+    """
+    kind = module.Options
+    found = given(kind, args)
+    if files.options_file is not None:
+        found = merged(found, read_options(files.options_file, kind, args.command), kind)
+        if absent := missing(found, kind):
+            raise UserError(
+                f"neither {files.options_file} nor the command line gives {', '.join(absent)} "
+                f"(see `{parser.prog} {args.command} --help`)"
+            )
+    if files.save_options is not None:
+        check_target(files.save_options, bool(found.get("overwrite")))
+    options = made(kind, found)
+    try:
+        code = module.run(options)
+    except KeyboardInterrupt:
+        _save(files, args.command, found)
+        raise
+    _save(files, args.command, found)
+    return code
+
+
+def _save(files: FileArguments, command: str, found: dict[str, Any]) -> None:
+    if files.save_options is not None:
+        save_options(files.save_options, command, found)
+        current().add(written=[files.save_options])
+
+
 def _one_line(message: Warning | str, *_: object, **__: object) -> None:
-    print(f"gazenerf: warning: {' '.join(str(message).split())}", file=sys.stderr)
+    current().warn(str(message))
 
 
 if __name__ == "__main__":

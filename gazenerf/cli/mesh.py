@@ -74,7 +74,7 @@ def run(options: Options) -> int:
     """Extract, write, report."""
     from gazenerf.cli.common import showing_progress, summary_table, warn
     from gazenerf.export.pipeline import mesh_subject
-    from gazenerf.export.summary import mesh_rows
+    from gazenerf.export.summary import mesh_facts, mesh_rows
 
     gaze = options.checked_gaze()
     options.gazes(None)  # what does not go together is said before a field is loaded
@@ -93,5 +93,5 @@ def run(options: Options) -> int:
             overwrite=options.overwrite,
             progress=progress,
         )
-    summary_table("meshes", mesh_rows(report))
+    summary_table("meshes", mesh_rows(report), mesh_facts(report), report.numbered)
     return 0

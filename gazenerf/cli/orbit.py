@@ -38,5 +38,9 @@ def run(options: Options) -> int:
         "path": made.path.describe(),
         "rendered in": f"{made.seconds:.1f} s, {made.frames / made.seconds:.2f} frames/s",
     }
-    summary_table(f"orbit of {made.subject}", rows)
+    measured = {
+        "frames": made.frames, "width": made.width, "height": made.height, "fps": made.fps, "path": made.path.name,
+        "psnr_of_bake_db": made.path.psnr, "render_seconds": made.seconds,
+    }  # fmt: skip
+    summary_table(f"orbit of {made.subject}", rows, measured, made.files)
     return 0

@@ -10,7 +10,7 @@ import argparse
 import dataclasses
 import types
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -21,8 +21,17 @@ from gazenerf.options import KEY, Option, options_of
 T = TypeVar("T")
 
 
-def add_options(parser: argparse.ArgumentParser, kind: type) -> None:
-    """Add the options of a dataclass to a parser; what is not given leaves no trace in its namespace."""
+def add_options(
+    parser: argparse.ArgumentParser, kind: type, *, relaxed: bool = False, but: Collection[str] = ()
+) -> None:
+    """Add the options of a dataclass to a parser; what is not given leaves no trace in its namespace.
+
+    Args:
+        parser: Of a command.
+        kind: The dataclass.
+        relaxed: Nothing has to be given, since a file may give it.
+        but: Flags that the parser has already.
+    """
     hints = typing.get_type_hints(kind)
     groups: dict[str, Any] = {"": parser}
     exclusive: dict[str, Any] = {}
@@ -33,9 +42,15 @@ def add_options(parser: argparse.ArgumentParser, kind: type) -> None:
                 option.only_one, place.add_mutually_exclusive_group()
             )
         flag = flag_of(name, option)
+        if flag in but:
+            continue
+        if relaxed:
+            option = dataclasses.replace(option, required=False)
         if not flag.startswith("-"):
             shape = _shape(hints[name], option)
             shape.pop("required", None)
+            if relaxed:
+                shape |= {"nargs": "*", "default": argparse.SUPPRESS} if "nargs" in shape else {"nargs": "?"}
             place.add_argument(name, help=option.help, **shape)
             continue
         place.add_argument(flag, dest=name, default=argparse.SUPPRESS, help=option.help, **_shape(hints[name], option))
@@ -120,8 +135,7 @@ def given(kind: type, namespace: argparse.Namespace) -> dict[str, Any]:
     """Field name to value of what was typed, nothing else."""
     found = {}
     for name in options_of(kind):
-        if hasattr(namespace, name):
-            value = getattr(namespace, name)
+        if (value := getattr(namespace, name, None)) is not None:
             found[name] = _tuples(value)
     return found
 
@@ -131,9 +145,14 @@ def parsed(kind: type[T], namespace: argparse.Namespace) -> T:
 
     A dataclass whose defaults depend on what was typed has a class method `from_given`.
     """
+    return made(kind, given(kind, namespace))
+
+
+def made(kind: type[T], given: Mapping[str, Any]) -> T:
+    """The dataclass with what was given by field name; see `parsed`."""
     assert dataclasses.is_dataclass(kind)
     make: Callable[..., T] = getattr(kind, "from_given", kind)
-    return make(**given(kind, namespace))
+    return make(**given)
 
 
 def _tuples(value: Any) -> Any:

@@ -62,7 +62,12 @@ def _one(options: Options) -> int:
         else "does not say that the picture was altered",
         "seconds": f"{made.seconds:.1f}",
     }
-    summary_table(f"{options.photograph.name} redirected", rows)
+    measured = {
+        "gaze_in_the_photograph_degrees": made.redirector.subject.gaze.degrees, "left_eye_degrees": left.degrees,
+        "right_eye_degrees": right.degrees, "share_changed": float(made.redirected.changed.mean()),
+        "marked": options.mark,
+    }  # fmt: skip
+    summary_table(f"{options.photograph.name} redirected", rows, measured)
     return 0
 
 

@@ -31,5 +31,6 @@ def run(options: Options) -> int:
         "size": f"{made.width}x{made.height}, {made.tiles} tiles",
         "rendered in": f"{made.seconds:.1f} s, {made.tiles / made.seconds:.2f} tiles/s",
     }
-    summary_table(f"{options.kind} of {head.subject.name}", rows)
+    measured = {"width": made.width, "height": made.height, "tiles": made.tiles, "render_seconds": made.seconds}
+    summary_table(f"{options.kind} of {head.subject.name}", rows, measured)
     return 0

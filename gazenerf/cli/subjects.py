@@ -7,6 +7,7 @@ import sys
 from dataclasses import dataclass
 from typing import Any
 
+from gazenerf.cli.report import shown
 from gazenerf.options import option
 
 HELP = "list the bundled subjects"
@@ -26,7 +27,12 @@ class Options:
 def run(options: Options) -> int:
     """Print every bundled subject: whether training saw it, its code sizes and where it came from."""
     rows = describe_subjects()
-    if options.json:
+    with shown():
+        return _print(rows, options.json)
+
+
+def _print(rows: list[dict[str, Any]], as_json: bool) -> int:
+    if as_json:
         json.dump(rows, sys.stdout, indent=2)
         print()
         return 0

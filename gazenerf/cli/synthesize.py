@@ -42,5 +42,6 @@ def run(options: Options) -> int:
         "captures": f"{total:,} ({people} people, {views} views each, {size}x{size})",
         "rendered now": f"{rendered:,} by {options.renderer} in {seconds:.1f} s, {rendered / seconds:.1f}/s",
     }
-    summary_table("captures", rows)
+    measured = {"captures": total, "rendered_now": rendered, "render_seconds": seconds, "workers": workers}
+    summary_table("captures", rows, measured)
     return 0

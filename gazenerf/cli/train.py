@@ -13,12 +13,14 @@ def run(options: TrainOptions) -> int:
     """Train and report."""
     import os
 
-    from rich.console import Console
-
     from gazenerf.cli.common import showing_progress, warn
+    from gazenerf.cli.report import current
+    from gazenerf.devices import choose_device
 
+    current().choose(preset=options.preset, device=choose_device(options.device), precision=options.precision)
     with showing_progress(show=os.environ.get("LOCAL_RANK", "0") == "0") as progress:
         written = train_field(options, progress, warn)
     if written is not None:
-        Console().print(f"wrote {written}")
+        current().add([written])
+        print(f"wrote {written}")
     return 0

@@ -10,7 +10,7 @@ therefore exact, and only the little that the gaze changes in the rest of the fa
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -233,22 +233,36 @@ class BakedBoundHead:
 
     def render(self, camera: Camera, parts: tuple[Part, ...] = ("head",)) -> RenderedView:
         """See `BoundField`; only `head` is baked."""
+        return self._render(camera, parts, self.bound.render)
+
+    def render_cut_out(self, camera: Camera, parts: tuple[Part, ...] = ("head",)) -> RenderedView:
+        """See `gazenerf.heads.cutouts.CutOutField`; only `head` is baked."""
+        return self._render(camera, parts, self.bound.render_cut_out, cutouts=True)
+
+    def _render(
+        self,
+        camera: Camera,
+        parts: tuple[Part, ...],
+        other: Callable[[Camera, tuple[Part, ...]], RenderedView],
+        cutouts: bool = False,
+    ) -> RenderedView:
         rest: tuple[Part, ...] = tuple(part for part in parts if part != "head")
-        view = self.bound.render(camera, rest) if rest else RenderedView(camera, {}, {})
+        view = other(camera, rest) if rest else RenderedView(camera, {}, {})
         if "head" not in parts:
             return view
-        [drawn] = self.bound.head.within_memory(partial(draw_together, [self], [camera]))
-        return view.with_head(*drawn, parts)
+        [drawn] = self.bound.head.within_memory(partial(draw_together, [self], [camera], cutouts))
+        return view.with_head(drawn.image, drawn.geometry, parts, drawn.cutout)
 
 
-def draw_together(bounds: Sequence[BakedBoundHead], cameras: Sequence[Camera]) -> list[Drawn]:
+def draw_together(bounds: Sequence[BakedBoundHead], cameras: Sequence[Camera], cutouts: bool = False) -> list[Drawn]:
     """Pictures of one baked head and their geometry, computed in one pass.
 
     Args:
         bounds: One for each picture, all of one bake; the same where gazes are the same.
         cameras: One for each picture, all of one size.
+        cutouts: Also give the pictures without what is behind them.
     """
-    drawn = draw_rays(bounds[0].bound.head, _BakedRays(bounds), cameras)
+    drawn = draw_rays(bounds[0].bound.head, _BakedRays(bounds), cameras, cutouts)
     assert drawn is not None
     return drawn
 

@@ -13,6 +13,7 @@ import torch
 
 from gazenerf.devices import free_memory, is_out_of_memory, release_memory, watch_memory
 from gazenerf.geometry import Camera
+from gazenerf.heads.cutouts import cut_outs_of
 from gazenerf.heads.feature_map import FeatureGrid, RayFeatures, Window, add_behind, to_picture
 from gazenerf.heads.interface import BoundField, GeometryView, RenderedView
 from gazenerf.heads.render import composite_rays, is_hazy
@@ -27,8 +28,20 @@ MOST_PIXELS = 16 * 512**2
 SHARE_OF_FREE = 0.5
 """Share of a GPU's free memory that a pass is planned to take; frames of one orbit differ in what they need."""
 
-Drawn = tuple[np.ndarray, GeometryView]
-"""The picture (H, W, 3) of a head and its geometry."""
+
+class Drawn(NamedTuple):
+    """A picture of a head.
+
+    Attributes:
+        image: (H, W, 3).
+        geometry: What it was composited from.
+        cutout: See `RenderedView.cutouts`; None where it was not asked for.
+    """
+
+    image: np.ndarray
+    geometry: GeometryView
+    cutout: np.ndarray | None = None
+
 
 Bound = TypeVar("Bound", bound=BoundField)
 
@@ -74,8 +87,8 @@ class FrameBatches(Generic[Bound]):
                 self._draw_less(cameras[0], len(some))
                 continue
             done += [
-                RenderedView(camera, {"head": image}, {"head": geometry})
-                for camera, (image, geometry) in zip(cameras, drawn, strict=True)
+                RenderedView(camera, {"head": one.image}, {"head": one.geometry})
+                for camera, one in zip(cameras, drawn, strict=True)
             ]
         return done
 
@@ -166,13 +179,14 @@ class PictureRays(ABC):
         return self.add_behind(self.first(rays, window), rays)
 
 
-def draw_rays(head: Head, seen_by: PictureRays, cameras: Sequence[Camera]) -> list[Drawn] | None:
+def draw_rays(head: Head, seen_by: PictureRays, cameras: Sequence[Camera], cutouts: bool = False) -> list[Drawn] | None:
     """Pictures of a head and their geometry, computed in one pass; None where one of them shows haze.
 
     Args:
         head: Its field draws them.
         seen_by: What is seen along the rays of the pictures.
         cameras: One for each picture, all of one size.
+        cutouts: Also give the pictures without what is behind them.
     """
     grid = FeatureGrid.of(cameras[0], head.field.config, head.device, *cameras[1:])
     with head.quickly():
@@ -184,9 +198,12 @@ def draw_rays(head: Head, seen_by: PictureRays, cameras: Sequence[Camera]) -> li
             return None
         found = seen_by.add_behind(front, rays)
         seen = grid.smooth_outline(seen_by.composited, background, found, cut=True)
-        pictures = head.pictures(seen, grid.shape)
+        uncut = head.all_uncut(seen, grid.shape)
+        pictures = head.cut(uncut, seen, grid.shape)
+        alone = cut_outs_of(seen, uncut, head.picture_behind(*grid.shape), grid.shape) if cutouts else None
     images = [to_picture(picture, camera) for picture, camera in zip(pictures, cameras, strict=True)]
-    return list(zip(images, grid.geometry(seen), strict=True))
+    found = [None] * len(cameras) if alone is None else [to_picture(*pair) for pair in zip(alone, cameras, strict=True)]
+    return [Drawn(*one) for one in zip(images, grid.geometry(seen), found, strict=True)]
 
 
 def draw_guided(bounds: Sequence[BoundHead], cameras: Sequence[Camera]) -> list[Drawn]:
@@ -202,7 +219,7 @@ def draw_guided(bounds: Sequence[BoundHead], cameras: Sequence[Camera]) -> list[
     if drawn is not None:
         return drawn
     views = [bound.render(camera) for bound, camera in zip(bounds, cameras, strict=True)]
-    return [(view.images["head"], view.geometry["head"]) for view in views]
+    return [Drawn(view.images["head"], view.geometry["head"]) for view in views]
 
 
 class _GuidedRays(PictureRays):

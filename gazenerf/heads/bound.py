@@ -192,6 +192,10 @@ class BoundHead:
         """
         return self.head.within_memory(lambda: render_parts(self, camera, parts))
 
+    def render_cut_out(self, camera: Camera, parts: tuple[Part, ...] = ("head",)) -> RenderedView:
+        """See `gazenerf.heads.cutouts.CutOutField`; the pictures are those of `render`."""
+        return self.head.within_memory(lambda: render_parts(self, camera, parts, cutouts=True))
+
     def render_geometry(self, camera: Camera, part: Part = "head", normals: bool = False) -> GeometryView:
         """Opacity and expected depth along the rays of every pixel; for `head`, of both media as one.
 

@@ -16,6 +16,20 @@ from gazenerf.geometry import Camera, camera_rays
 from gazenerf.heads.interface import GeometryView
 
 
+class Outline(NamedTuple):
+    """The outline of what feature maps show.
+
+    Attributes:
+        pixels: (E,) indices of the feature pixels on it.
+        quarters: (E, 4) opacity of each quarter of theirs.
+        solid: (R,) bool, where one ray a feature pixel meets the head.
+    """
+
+    pixels: torch.Tensor
+    quarters: torch.Tensor
+    solid: torch.Tensor
+
+
 class RayFeatures(NamedTuple):
     """What is seen along rays.
 
@@ -27,6 +41,7 @@ class RayFeatures(NamedTuple):
         matte: (2 h, 2 w) of a whole feature map, (B, 2 h, 2 w) of several: share of the head in each quarter of a
             feature pixel. Where it is given, features go on a little beyond the outline, and the picture is cut out
             by it.
+        outline: What was found along the outline; None where there is none, or nobody looked.
     """
 
     features: torch.Tensor
@@ -34,6 +49,7 @@ class RayFeatures(NamedTuple):
     distance: torch.Tensor
     end: torch.Tensor | None = None
     matte: torch.Tensor | None = None
+    outline: Outline | None = None
 
 
 Window = tuple[torch.Tensor, torch.Tensor]
@@ -185,7 +201,7 @@ class FeatureGrid:
             cut: Leave the outline to a matte instead of mixing head and background in features, which the
                 up-sampler has not learned and draws as stairs, too.
         """
-        features, opacity, distance = found[:3]
+        opacity, distance = found.opacity, found.distance
         outline = self.outline(opacity)
         if not len(outline):
             return found
@@ -195,21 +211,33 @@ class FeatureGrid:
         fine = composite(
             rays_o, rays_d, background[outline].repeat_interleave(4, dim=0), (window[0], window[1]), pictures
         )
-        features[outline] = fine.features.reshape(len(outline), 4, -1).mean(1)
+        found.features[outline] = fine.features.reshape(len(outline), 4, -1).mean(1)
         quarters = fine.opacity.reshape(-1, 4)
         opacity[outline] = quarters.mean(1)
-        if not cut:
+        found = found._replace(outline=Outline(outline, quarters, solid))
+        return self.with_matte(found, background) if cut else found
+
+    def with_matte(self, found: RayFeatures, background: torch.Tensor) -> RayFeatures:
+        """Features that go on beyond the outline, with the matte that ends them; as they are without an outline.
+
+        Args:
+            found: From `smooth_outline`.
+            background: (B * h * w, C) that is behind them.
+        """
+        if found.outline is None:
             return found
+        outline, quarters, solid = found.outline
         near = torch.zeros_like(solid)
         near[outline] = True
         near = grown(near.reshape(-1, *self.shape), BAND)
-        matte = torch.where(near.flatten(), solid.float(), (opacity > FAINT).float())
+        matte = torch.where(near.flatten(), solid.float(), (found.opacity > FAINT).float())
         matte = matte[:, None].repeat(1, 4)
         matte[outline] = quarters.to(matte.dtype)
         quarters = matte.reshape(-1, *self.shape, 4).permute(0, 3, 1, 2)
         matte = F.pixel_shuffle(quarters, 2)[:, 0]
         matte = matte[0] if len(matte) == 1 else matte
-        return found._replace(features=self._beyond(features, opacity, background, outline, near), matte=matte)
+        beyond = self._beyond(found.features, found.opacity, background, outline, near)
+        return found._replace(features=beyond, matte=matte)
 
     def _beyond(
         self,
@@ -261,7 +289,12 @@ def grown(mask: torch.Tensor, by: int) -> torch.Tensor:
 
 
 def cut_out(picture: torch.Tensor, behind: torch.Tensor, matte: torch.Tensor) -> torch.Tensor:
-    """A picture (3, H, W) where a matte (2 h, 2 w) is, over the picture behind (3, H, W); or B of both over the latter.
+    """A picture (3, H, W) where a matte (2 h, 2 w) is, over the picture behind (3, H, W); or B of both over it."""
+    return torch.lerp(behind, picture, matte_share(matte, picture))
+
+
+def matte_share(matte: torch.Tensor, picture: torch.Tensor) -> torch.Tensor:
+    """(1, H, W) share in [0, 1] of the head in a picture (3, H, W) with a matte (2 h, 2 w); (B, 1, H, W) of B of both.
 
     The matte is smoothed and sharpened again, so that its contour is a line and not a row of squares.
     """
@@ -270,7 +303,7 @@ def cut_out(picture: torch.Tensor, behind: torch.Tensor, matte: torch.Tensor) ->
     share = F.interpolate(smooth, size=picture.shape[-2:], mode="bilinear", align_corners=False)
     share = share if picture.dim() == 4 else share[0]
     slope = max(0.5 / (1.0 - EDGE), CONTRAST * 2.0 * picture.shape[-2] / matte.shape[-2])
-    return torch.lerp(behind, picture, ((share - EDGE) * slope + 0.5).clamp(0.0, 1.0))
+    return ((share - EDGE) * slope + 0.5).clamp(0.0, 1.0)
 
 
 def to_picture(picture: torch.Tensor, camera: Camera) -> np.ndarray:

@@ -253,27 +253,35 @@ class Head:
             turned: The background was turned with the eyes; elsewhere it is the field's own where nothing is seen,
                 and nothing is up-sampled far from where something is.
         """
-        features = seen.features.T.reshape(1, -1, *shape)
-        if turned:
-            return self.upsample(features)[0]
-        if self.device.type == "cpu":
-            place = (seen.opacity > 0.0).reshape(shape)
-            if seen.matte is not None:
-                place = grown(place, BEYOND)
-            picture = upsample_window(self.upsample, features, place, lambda: self._picture_behind(*shape))
-        else:  # a GPU waits longer for the window than it saves
-            picture = self.upsample(features)[0]
-        return picture if seen.matte is None else cut_out(picture, self._picture_behind(*shape), seen.matte)
+        uncut = self.uncut(seen, shape, turned)
+        return uncut if turned else self.cut(uncut, seen, shape)
 
     def pictures(self, seen: RayFeatures, shape: tuple[int, int]) -> torch.Tensor:
         """(B, 3, h * k, w * k) pictures of B feature maps (h, w), all up-sampled at once."""
+        return self.cut(self.all_uncut(seen, shape), seen, shape)
+
+    def uncut(self, seen: RayFeatures, shape: tuple[int, int], turned: bool = False) -> torch.Tensor:
+        """`picture` before it is cut out by the matte, where there is one: the head goes on a little beyond it."""
+        features = seen.features.T.reshape(1, -1, *shape)
+        if turned or self.device.type != "cpu":  # a GPU waits longer for the window than it saves
+            return self.upsample(features)[0]
+        place = (seen.opacity > 0.0).reshape(shape)
+        if seen.matte is not None:
+            place = grown(place, BEYOND)
+        return upsample_window(self.upsample, features, place, lambda: self.picture_behind(*shape))
+
+    def all_uncut(self, seen: RayFeatures, shape: tuple[int, int]) -> torch.Tensor:
+        """`pictures` before they are cut out."""
         count = len(seen.features) // (shape[0] * shape[1])
         if count == 1:
-            return self.picture(seen, shape)[None]
-        pictures = self.upsample(seen.features.reshape(count, *shape, -1).permute(0, 3, 1, 2).contiguous())
-        return pictures if seen.matte is None else cut_out(pictures, self._picture_behind(*shape), seen.matte)
+            return self.uncut(seen, shape)[None]
+        return self.upsample(seen.features.reshape(count, *shape, -1).permute(0, 3, 1, 2).contiguous())
 
-    def _picture_behind(self, rows: int, columns: int) -> torch.Tensor:
+    def cut(self, uncut: torch.Tensor, seen: RayFeatures, shape: tuple[int, int]) -> torch.Tensor:
+        """What `uncut` or `all_uncut` gave, cut out by the matte over the background, where there is a matte."""
+        return uncut if seen.matte is None else cut_out(uncut, self.picture_behind(*shape), seen.matte)
+
+    def picture_behind(self, rows: int, columns: int) -> torch.Tensor:
         """(3, rows * k, columns * k) picture of the background alone; the last few sizes are kept."""
         upsample = self.upsample
         with self._lock:
@@ -292,7 +300,7 @@ class Head:
             if found is None:
                 size = self.field.config.feature_size
                 with self.quickly():
-                    self._background = found = self._picture_behind(size, size).mean((1, 2)).cpu().numpy()
+                    self._background = found = self.picture_behind(size, size).mean((1, 2)).cpu().numpy()
             return found
 
     @property

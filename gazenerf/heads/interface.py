@@ -72,11 +72,14 @@ class RenderedView:
         images: Part to (H, W, 3) float32 sRGB in [0, 1] at the camera's size.
         geometry: Part to the opacity and depth that the pictures were composited from, at the
             size of the feature map.
+        cutouts: Part to (H, W, 4) float32 in [0, 1], the picture without what is behind it: sRGB times opacity, and
+            opacity. Only where it was asked for; see `gazenerf.heads.cutouts`.
     """
 
     camera: Camera
     images: dict[Part, np.ndarray]
     geometry: dict[Part, GeometryView] = field(default_factory=dict)
+    cutouts: dict[Part, np.ndarray] = field(default_factory=dict)
 
     @property
     def image(self) -> np.ndarray:
@@ -87,13 +90,24 @@ class RenderedView:
         """(H, W, 3) uint8 picture of a part, as files hold it."""
         return (255.0 * np.clip(self.images[part], 0.0, 1.0)).round().astype(np.uint8)
 
-    def with_head(self, image: np.ndarray, geometry: GeometryView, parts: tuple[Part, ...]) -> RenderedView:
+    def with_head(
+        self, image: np.ndarray, geometry: GeometryView, parts: tuple[Part, ...], cutout: np.ndarray | None = None
+    ) -> RenderedView:
         """This view and the picture (H, W, 3) of the head with its geometry, in the order of `parts`."""
         images, seen = {**self.images, "head": image}, {**self.geometry, "head": geometry}
-        return RenderedView(self.camera, {part: images[part] for part in parts}, {part: seen[part] for part in parts})
+        cutouts = self.cutouts if cutout is None else {**self.cutouts, "head": cutout}
+        return RenderedView(
+            self.camera,
+            {part: images[part] for part in parts},
+            {part: seen[part] for part in parts},
+            {part: cutouts[part] for part in parts if part in cutouts},
+        )
 
     def save(self, path: str | Path, part: Part = "head") -> None:
-        """Write the picture of a part as PNG, JPEG or WebP, by the file's name."""
+        """Write the picture of a part as PNG, JPEG or WebP, by the file's name.
+
+        Before another background, or without one: `gazenerf.heads.backgrounds.Background.picture` of a cutout.
+        """
         Image.fromarray(self.pixels(part)).save(path)
 
     def __repr__(self) -> str:

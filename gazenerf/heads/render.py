@@ -12,6 +12,7 @@ from gazenerf.errors import UserError
 from gazenerf.field.compositing import Composited, composite, composite_stream, composite_streams
 from gazenerf.field.sampling import RaySamples, ray_samples, shell_samples, slab_samples
 from gazenerf.geometry import Camera, camera_rays
+from gazenerf.heads.cutouts import cut_outs_of
 from gazenerf.heads.feature_map import FeatureGrid, RayFeatures, Window, add_behind, to_picture
 from gazenerf.heads.interface import OPACITY_FLOOR, GeometryView, Part, RenderedView
 
@@ -37,26 +38,47 @@ GEOMETRY_SHELL, GEOMETRY_SAMPLES = 0.06, 16
 """Half width of the shell, world units, and samples per ray where only opacity and depth are wanted."""
 
 
-def render_parts(bound: BoundHead, camera: Camera, parts: tuple[Part, ...]) -> RenderedView:
-    """See `BoundHead.render`."""
+def render_parts(bound: BoundHead, camera: Camera, parts: tuple[Part, ...], cutouts: bool = False) -> RenderedView:
+    """See `BoundHead.render`, and `BoundHead.render_cut_out` for `cutouts`."""
     for part in parts:
         bound.streams_of(part)
     field, config = bound.field, bound.field.config
     grid = FeatureGrid.of(camera, config, bound.head.device)
     images: dict[Part, np.ndarray] = {}
     geometry: dict[Part, GeometryView] = {}
+    alone: dict[Part, np.ndarray] = {}
     with bound.head.quickly():
         background = field.renderer.background(*grid.shape)[0].flatten(1).T.float()
         cache: dict[tuple[str, ...], RayFeatures] = {}
         for part in parts:
             seen = _part_features(bound, grid, background, part, cache)
             turned = part != "face" and (len(bound.streams_of(part)) == 1 or config.merge == "max")
-            picture = bound.head.picture(seen, grid.shape, turned)
+            uncut = bound.head.uncut(seen, grid.shape, turned)
+            picture = uncut if turned else bound.head.cut(uncut, seen, grid.shape)
+            if cutouts:
+                alone[part] = to_picture(_cut_out(bound, grid, seen, background, part, uncut), camera)
             if part == "eyes" and config.eyes_box is not None:
                 picture = _on_background(bound, picture, seen.opacity.reshape(grid.shape))
             images[part] = to_picture(picture, camera)
             geometry[part] = grid.geometry(seen)[0]
-    return RenderedView(camera, images, geometry)
+    return RenderedView(camera, images, geometry, alone)
+
+
+def _cut_out(
+    bound: BoundHead, grid: FeatureGrid, seen: RayFeatures, background: torch.Tensor, part: Part, uncut: torch.Tensor
+) -> torch.Tensor:
+    """(4, H, W) of a part; see `cut_outs_of`. What is behind it is what its empty rays see."""
+    head, config = bound.head, bound.field.config
+    behind = background
+    if part == "eyes" or (part == "head" and len(bound.streams_of(part)) == 1):
+        behind = bound.turn(background)
+    elif part == "head" and config.merge == "max":
+        behind = torch.maximum(background, bound.turn(background))
+    if seen.matte is None and seen.outline is not None:  # mixed with what is behind it in the picture, not in a cutout
+        seen = grid.with_matte(seen, behind)
+        uncut = head.uncut(seen, grid.shape, turned=True)
+    picture_behind = head.upsample(behind.T.reshape(1, -1, *grid.shape))[0] if seen.matte is None else uncut
+    return cut_outs_of(seen, uncut, picture_behind, grid.shape)[0]
 
 
 def _part_features(

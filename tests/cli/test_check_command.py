@@ -12,7 +12,7 @@ from PIL import Image
 from gazenerf.cli import check
 from gazenerf.cli.parser import add_options, parsed
 from gazenerf.errors import UserError
-from gazenerf.export.formats.datasets import transforms
+from gazenerf.export.formats.dataset_cameras import transforms
 from gazenerf.geometry import Camera
 from gazenerf.head_model import load_head_model
 from gazenerf.head_model.shading import sample_illumination

@@ -72,7 +72,10 @@ def test_quick_asks_for_less(tmp_path):
         for fast in (True, False)
     )
     assert quick["orbit"].frames < full["orbit"].frames and quick["mesh"].resolution < full["mesh"].resolution
-    assert quick["check"].views < VIEWS and quick["check"].gazes < GAZES and quick["check"].size < SIZE
+    assert quick["check"].views < VIEWS and quick["check"].size < SIZE
+    assert 1 < quick["check"].gazes < GAZES, "gaze is measured all the same"
+    for options in (quick["mesh"], full["mesh"]):
+        assert options.rig and options.page and options.texture, "a textured rig with its page"
     assert not quick["check"].error_mesh and full["check"].error_mesh
 
 

@@ -27,6 +27,7 @@ class Flat:
     metres_per_unit = 0.1
     weights_hash = "abc"
     subject = SUBJECT
+    background = np.zeros(3, np.float32)
 
     def __init__(self, gaze):
         self.gaze = gaze
@@ -39,7 +40,9 @@ class Flat:
 
     def render_geometry(self, camera, part="head", normals=False):
         shape = camera.height, camera.width
-        return GeometryView(camera, np.ones(shape, np.float32), np.full(shape, 12.0, np.float32))
+        opacity = np.ones(shape, np.float32)
+        opacity[: camera.height // 2] = 0.0
+        return GeometryView(camera, opacity, np.full(shape, 12.0, np.float32))
 
 
 class FlatHead:
@@ -114,6 +117,36 @@ def test_panels_make_a_wider_even_frame(tmp_path):
     assert (about["width"], about["height"]) == (104, 32) and about["panels"] == ["image", "depth", "opacity"]
 
 
+@pytest.mark.parametrize("name", ["t.webp", "frames"])
+def test_an_orbit_before_nothing_has_an_opacity(name, tmp_path):
+    out = tmp_path / name
+    assert run(orbit, "--out", out, "--frames", 3, "--size", 32, "--background", "transparent", "--gaze", 0, 0) == 0
+    with Image.open(out / "0002.png" if out.is_dir() else out) as opened:
+        opened.seek(getattr(opened, "n_frames", 1) - 1)
+        pixels = np.asarray(opened.convert("RGBA")).astype(int)
+    assert not pixels[:14, :, 3].any() and (pixels[18:, :, 3] == 255).all()
+    np.testing.assert_allclose(pixels[20:, :, :2], 127.5, atol=4.0)
+    about = json.loads((out / "orbit.json" if out.is_dir() else tmp_path / "t.webp.json").read_text())
+    assert about["options"]["background"] == "transparent"
+
+
+def test_an_orbit_before_a_colour_shows_it_between_panels_too(tmp_path):
+    words = ("--frames", 1, "--size", 32, "--background", "#00c800", "--panels", "image", "face", "--no-labels")
+    assert run(orbit, "--out", tmp_path / "c", *words) == 0
+    pixels = np.asarray(Image.open(tmp_path / "c" / "0000.png"))
+    assert (
+        pixels.shape == (32, 68, 3) and (pixels[:14] == (0, 200, 0)).all() and (pixels[:, 32:36] == (0, 200, 0)).all()
+    )
+    assert not (pixels[18:, :32] == (0, 200, 0)).all(axis=-1).any()
+
+
+@pytest.mark.parametrize("name", ["a.mp4", "a.gif"])
+def test_a_video_that_holds_no_transparency_says_so(name, tmp_path):
+    with pytest.raises(UserError, match=r"holds no transparency; name --out \.webp"):
+        run(orbit, "--out", tmp_path / name, "--frames", 2, "--size", 32, "--background", "transparent")
+    assert run(orbit, "--out", tmp_path / name, "--frames", 2, "--size", 32, "--background", "white") == 0
+
+
 def test_a_gaze_beyond_training_is_warned_about_with_the_range(tmp_path, capsys):
     run(orbit, "--out", tmp_path / "a.webp", "--frames", 2, "--size", 8, "--gaze", 0, 45)
     warning = capsys.readouterr().err
@@ -134,6 +167,7 @@ def test_a_gaze_beyond_training_is_warned_about_with_the_range(tmp_path, capsys)
         (("--columns", 0), "--columns"),
         (("--geometry-size", 0), "--geometry-size"),
         (("--crf", 60), "--crf"),
+        (("--background", "gren"), "did you mean green"),
         (("--fov", 0), "--fov"),
         (("--distance", -1), "--distance"),
         (("--gaze", "nan", 0), "finite"),
@@ -165,6 +199,19 @@ def test_a_gaze_grid_spans_the_trained_range(tmp_path, capsys):
         tiles[0, :, 1], 255 * np.clip(0.5 + np.deg2rad([-25, -12.5, 0, 12.5, 25]), 0, 1), atol=1.5
     )
     assert "15 tiles" in capsys.readouterr().out
+
+
+def test_sheets_have_the_background_too(tmp_path):
+    words = ("--size", 20, "--crop", "whole", "--pitches", 0, "--yaws", 0)
+    for name, colour in (("w.jpg", "white"), ("t.png", "transparent"), ("t.webp", "transparent")):
+        assert run(sheet, "--out", tmp_path / name, "--background", colour, *words) == 0
+    white = np.asarray(Image.open(tmp_path / "w.jpg")).astype(int)
+    assert (white[-24:-16, -24:] > 240).all() and white.min() < 60, "letters are dark"
+    for name in ("t.png", "t.webp"):
+        pixels = np.asarray(Image.open(tmp_path / name).convert("RGBA"))
+        assert not pixels[-24:-16, -24:, 3].any() and (pixels[-10:-5, -20:-6, 3] == 255).all()
+    with pytest.raises(UserError, match="JPEG holds no transparency"):
+        run(sheet, "--out", tmp_path / "x.jpg", "--background", "transparent", *words)
 
 
 def test_a_contact_sheet_has_the_asked_gazes_and_views(tmp_path):

@@ -34,7 +34,7 @@ def test_pictures_drawn_together_are_those_drawn_alone(size: tuple[int, int]) ->
     cameras = [Camera.orbit(yaw=yaw, size=size, distance=d) for (_, yaw), d in zip(VIEWS, near, strict=True)]
     together = draw_together(bounds, cameras)
     alone = [bound.render(camera) for bound, camera in zip(bounds, cameras, strict=True)]
-    for (image, geometry), view in zip(together, alone, strict=True):
+    for (image, geometry, _), view in zip(together, alone, strict=True):
         np.testing.assert_allclose(image, view.image, atol=1e-5)
         theirs = view.geometry["head"]
         np.testing.assert_allclose(geometry.opacity, theirs.opacity, atol=1e-6)

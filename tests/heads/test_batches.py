@@ -78,7 +78,7 @@ def test_views_drawn_together_are_those_drawn_alone(path: str) -> None:
     head = head_of(path)
     views = [*views_of(head, 2), *views_of(head, 2, GAZE)]
     drawn = DRAW[path]([bound for bound, _ in views], [camera for _, camera in views])
-    for (image, geometry), (bound, camera) in zip(drawn, views, strict=True):
+    for (image, geometry, _), (bound, camera) in zip(drawn, views, strict=True):
         alone = bound.render(camera)
         np.testing.assert_allclose(image, alone.image, atol=1e-5)
         np.testing.assert_allclose(geometry.depth, alone.geometry["head"].depth, atol=1e-5)
@@ -91,7 +91,7 @@ def test_haze_is_drawn_one_picture_at_a_time(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr("gazenerf.heads.render.SHALLOW", 2.0)
     with pytest.warns(UserWarning, match="rays are sampled evenly instead"):
         drawn = draw_guided([bound for bound, _ in views], [camera for _, camera in views])
-    for (image, _), (bound, camera) in zip(drawn, views, strict=True):
+    for (image, _, _), (bound, camera) in zip(drawn, views, strict=True):
         np.testing.assert_array_equal(image, bound.render(camera).image)
 
 

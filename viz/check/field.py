@@ -49,9 +49,6 @@ T = TypeVar("T")
 
 CODES = ("identity", "expression", "texture", "illumination")
 
-IRIS_SIZE = 192
-"""Pixels; the iris is looked for in pictures of at least this size."""
-
 
 def reference_of(subject: Subject) -> ReferenceHead:
     """The head model fitted to a subject.
@@ -112,7 +109,7 @@ def check_subject(
         steps.advance()
         eyes = None
         if swept:
-            eyes = sweep_eyes(head, reference, gazes, max(options.pixels, IRIS_SIZE), run=run)
+            eyes = sweep_eyes(head, reference, gazes, options.iris_pixels, run=run)
         strips = epipolar_strips(bound, _strip_points(mesh), options.pixels, run=run)
         orbit = None
         if options.orbit:
@@ -270,7 +267,7 @@ def _about(bound: BoundField, mesh: HeadMesh, options: CheckOptions, eyes: EyeSw
         "codes_sha256_16": _digest(*(getattr(bound.subject.codes, name) for name in CODES)),
         "reference_mesh_sha256_16": _digest(mesh.vertices, mesh.faces),
         "size_px": options.pixels,
-        "iris_size_px": None if eyes is None else max(options.pixels, IRIS_SIZE),
+        "iris_size_px": None if eyes is None else options.iris_pixels,
         "views": options.view_count,
         "seed": options.seed,
         "options": to_dict(options, CheckOptions),

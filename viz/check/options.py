@@ -14,6 +14,9 @@ VIEWS, SIZE, GAZES = 12, 256, 5
 
 MOST_VIEWS, SIZES = 12, (32, 1024)
 
+IRIS_SIZE = 192
+"""Pixels; the iris is looked for in pictures of at least this size, unless told otherwise."""
+
 REFERENCES = {"mitsuba": ("mitsuba",), "pyrender": ("pyrender",), "both": ("mitsuba", "pyrender")}
 """What a user says to the renderers of the reference head."""
 
@@ -27,6 +30,7 @@ class CheckOptions:
         gazes: Of the eyes, the first of the five of `gazenerf.viz.metrics.eyes.gaze_grid`; with one, the metrics over
             a gaze grid are not measured.
         size: Side of a view, pixels; None for 256, and 768 for the longest side of frames.
+        iris_size: Side of the pictures in which irises are looked for, pixels, where `size` is smaller.
         reference: Renderers of the reference head: a name of `REFERENCES`, or names of
             `gazenerf.viz.reference.views.RENDERERS`.
         sfm: Also run COLMAP.
@@ -39,6 +43,9 @@ class CheckOptions:
     views: int | None = option(None, f"how many views (default: {VIEWS}; of frames: 120)", metavar="N")
     gazes: int = option(GAZES, "gazes of the eyes, 1 to 5 (default: 5)", metavar="N")
     size: int | None = option(None, f"side of a view (default: {SIZE}; longest side of frames: 768)", metavar="PX")
+    iris_size: int = option(
+        IRIS_SIZE, f"side of the pictures in which irises are looked for, at least (default: {IRIS_SIZE})", metavar="PX"
+    )
     reference: str | tuple[str, ...] = option("both", "reference renderer", choices=sorted(REFERENCES))
     sfm: bool = option(False, "also run COLMAP (needs the extra sfm)")
     error_mesh: bool = option(True, "write no error.glb, which takes a while", flag="--no-error-mesh")
@@ -59,6 +66,11 @@ class CheckOptions:
         return SIZE if self.size is None else self.size
 
     @property
+    def iris_pixels(self) -> int:
+        """Side of a picture of a field in which irises are looked for."""
+        return max(self.pixels, self.iris_size)
+
+    @property
     def renderers(self) -> tuple[str, ...]:
         """Wanted renderers of the reference head, the one compared with first."""
         return REFERENCES.get(self.reference, (self.reference,)) if isinstance(self.reference, str) else self.reference
@@ -73,6 +85,8 @@ class CheckOptions:
             raise UserError(f"--views must lie between 1 and {MOST_VIEWS}, got {self.view_count}")
         if not SIZES[0] <= self.pixels <= SIZES[1]:
             raise UserError(f"--size must lie between {SIZES[0]} and {SIZES[1]} pixels, got {self.pixels}")
+        if not SIZES[0] <= self.iris_size <= SIZES[1]:
+            raise UserError(f"--iris-size must lie between {SIZES[0]} and {SIZES[1]} pixels, got {self.iris_size}")
         if not 1 <= self.gazes <= GAZES:
             raise UserError(f"--gazes must lie between 1 and {GAZES}, got {self.gazes}")
         check_seed(self.seed)

@@ -15,6 +15,7 @@ from gazenerf.geometry import Camera, Gaze
 from gazenerf.heads import Head
 from gazenerf.heads.baked import BakedHead
 from gazenerf.heads.batches import FrameBatches
+from gazenerf.heads.cutouts import CutOutField
 from gazenerf.heads.interface import BoundField, HeadField, Part, RenderedView
 from gazenerf.workers import in_order, pool, workers_for
 
@@ -128,3 +129,7 @@ class _OfBatch:
         view = self._bound.render(camera, rest) if rest else RenderedView(camera, {}, {})
         drawn = self._batch.drawn[self._index]
         return view.with_head(drawn.image, drawn.geometry["head"], parts)
+
+    def render_cut_out(self, camera: Camera, parts: tuple[Part, ...] = ("head",)) -> RenderedView:
+        """See `CutOutField`; drawn alone."""
+        return cast(CutOutField, self._bound).render_cut_out(camera, parts)

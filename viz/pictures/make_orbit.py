@@ -16,6 +16,7 @@ from gazenerf.geometry import Camera, Gaze
 from gazenerf.geometry.camera_options import CameraPathOptions
 from gazenerf.geometry.paths import EYE_MIDPOINT, GAZE_PATHS, gaze_path
 from gazenerf.head_model import ReferenceHead
+from gazenerf.heads.backgrounds import BackgroundOptions
 from gazenerf.heads.choose import RenderPath, choose_path
 from gazenerf.heads.interface import HeadField
 from gazenerf.options import option, to_dict
@@ -30,7 +31,7 @@ LOOK = "picture and file"
 
 
 @dataclass(frozen=True, kw_only=True)
-class OrbitOptions(CameraPathOptions):
+class OrbitOptions(BackgroundOptions, CameraPathOptions):
     """What an orbit shows.
 
     Attributes:
@@ -149,7 +150,8 @@ def plan_orbit(out: str | Path, options: OrbitOptions, overwrite: bool = False) 
     cameras = options.cameras()
     check_panels(options.panels, lambda camera, gaze: np.empty(0))  # names only; the renderer needs the subject
     width, height = frame_size(cameras[0], options.panels, options.columns)
-    check_video(out, width, height, options.fps)
+    background = options.chosen_background()
+    check_video(out, width, height, options.fps, transparent=background is not None and background.colour is None)
     refuse_existing([first_path(out)], overwrite)
     name = options.gaze_path or ("targets" if len(options.gaze) > 1 else "hold" if options.gaze else "look-at-camera")
     if name not in GAZE_PATHS:
@@ -182,6 +184,7 @@ def make_orbit(head: HeadField, plan: OrbitPlan, progress: Progress = silent) ->
             columns=options.columns,
             labels=None if options.labels else False,
             geometry_size=options.geometry_size,
+            background=options.chosen_background(),
         )
         told = counted(frames, progress, "rendering", len(cameras))
         files = write_video(plan.out, told, options.fps, options.crf)

@@ -15,6 +15,7 @@ from gazenerf.geometry import Camera, Gaze
 from gazenerf.geometry.camera_options import CAMERA, CameraOptions
 from gazenerf.geometry.paths import EYE_MIDPOINT, GazeRange
 from gazenerf.head_model import ReferenceHead
+from gazenerf.heads.backgrounds import BackgroundOptions
 from gazenerf.heads.interface import HeadField
 from gazenerf.options import option
 from gazenerf.progress import Progress, silent
@@ -29,11 +30,12 @@ CROPS: dict[str, tuple[float, float, float, float] | None] = {
 }
 """Left, right, lower and upper border in world units from the middle between the eyes."""
 
-SUFFIXES = (".png", ".jpg", ".jpeg", ".webp")
+OPAQUE = (".jpg", ".jpeg")
+SUFFIXES = (".png", *OPAQUE, ".webp")
 
 
 @dataclass(frozen=True, kw_only=True)
-class SheetOptions(CameraOptions):
+class SheetOptions(BackgroundOptions, CameraOptions):
     """What a sheet shows; angles in degrees.
 
     Attributes:
@@ -86,6 +88,9 @@ def check_sheet(out: Path, options: SheetOptions, overwrite: bool = False) -> No
     options.check_camera()
     if out.suffix.lower() not in SUFFIXES:
         raise UserError(f"cannot write a sheet as {out.name}; name --out .png, .jpg or .webp")
+    background = options.chosen_background()
+    if background is not None and background.colour is None and out.suffix.lower() in OPAQUE:
+        raise UserError(f"{out.name}: JPEG holds no transparency; name --out .png or .webp, or --background a colour")
     refuse_existing([out], overwrite)
     angles = [*options.pitches, *options.yaws, *options.views, options.yaw, options.pitch, *np.ravel(options.gaze)]
     if not np.isfinite(angles).all():
@@ -125,16 +130,17 @@ def make_sheet(
     rows = sheet_gazes(options, head.trained_range)
     cameras = [options.orbiting(yaw, options.pitch) for yaw in options.views]
     front = options.orbiting(options.yaw, options.pitch)
+    background = options.chosen_background()
     started = time.perf_counter()
     if options.kind == "contact":
-        picture = contact_sheet(head, cameras, [row[0] for row in rows], progress=progress)
+        picture = contact_sheet(head, cameras, [row[0] for row in rows], background=background, progress=progress)
         tiles = len(rows) * len(cameras)
     else:
         reference = ReferenceHead.of(head.subject)
         eyes = np.asarray(EYE_MIDPOINT) if reference is None else reference.eye_midpoint()
         crop = crop_box(front, eyes, CROPS[options.crop])
         pitches, yaws = [row[0].pitch for row in rows], [gaze.yaw for gaze in rows[0]]
-        picture = gaze_grid(head, front, pitches, yaws, crop=crop, progress=progress)
+        picture = gaze_grid(head, front, pitches, yaws, crop=crop, background=background, progress=progress)
         tiles = len(pitches) * len(yaws)
     with whole_file(out) as temporary:
         Image.fromarray(picture).save(temporary, quality=92)

@@ -12,9 +12,10 @@ import numpy as np
 from gazenerf.errors import UserError
 from gazenerf.files import whole_file
 from gazenerf.geometry import Camera, Gaze
+from gazenerf.heads.backgrounds import Background
 from gazenerf.heads.interface import BoundField, HeadField
 from gazenerf.viz.pictures.drawing import draw_views
-from gazenerf.viz.pictures.layout import grid_size, tile
+from gazenerf.viz.pictures.layout import PAPER, grid_size, tile
 from gazenerf.viz.pictures.panels import DEPTH_RANGE, ReferenceRenderer, check_panels, draw_panels
 
 ORBIT_FORMAT = "gazenerf-orbit-1"
@@ -36,6 +37,7 @@ def render_orbit(
     labels: bool | None = None,
     geometry_size: int | None = None,
     depth_range: tuple[float, float] = DEPTH_RANGE,
+    background: Background | None = None,
 ) -> Iterator[np.ndarray]:
     """Frames of an orbit, rendered as they are taken: on a CPU one on each core, a few ahead of the one taken.
 
@@ -58,9 +60,10 @@ def render_orbit(
         labels: Draw the panels' names; by default when there is more than one.
         geometry_size: See `draw_panels`.
         depth_range: See `draw_panels`.
+        background: See `draw_panels`; also between panels.
 
     Returns:
-        An iterator of (H, W, 3) uint8, H and W from `frame_size`.
+        An iterator of (H, W, 3) uint8, H and W from `frame_size`; (H, W, 4) where there is nothing behind.
 
     Raises:
         UserError: no frames, or panels that cannot be drawn.
@@ -76,9 +79,10 @@ def render_orbit(
 
     def draw(bound: BoundField, camera: Camera) -> np.ndarray:
         drawn = draw_panels(
-            bound, camera, names, reference=reference, geometry_size=geometry_size, depth_range=depth_range
-        )
-        return tile(drawn, columns, labels)
+            bound, camera, names, reference=reference, geometry_size=geometry_size, depth_range=depth_range,
+            background=background,
+        )  # fmt: skip
+        return tile(drawn, columns, labels, PAPER if background is None else background.paper)
 
     views = list(zip(cameras, gazes, strict=True))
     workers = None if reference is None else 1  # reference renderers keep to one thread

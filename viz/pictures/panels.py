@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
 from gazenerf.errors import UserError
 from gazenerf.geometry import Camera, Gaze
+from gazenerf.heads.backgrounds import Background
+from gazenerf.heads.cutouts import render_cut_out
 from gazenerf.heads.interface import BoundField, GeometryView, Part, RenderedView
 from gazenerf.viz.pictures.colormaps import colour_depth, colour_normals, colour_opacity, enlarge, to_uint8
 
@@ -53,6 +56,7 @@ def draw_panels(
     reference: ReferenceRenderer | None = None,
     geometry_size: int | None = None,
     depth_range: tuple[float, float] = DEPTH_RANGE,
+    background: Background | None = None,
 ) -> dict[str, np.ndarray]:
     """Draw the panels of one frame.
 
@@ -64,9 +68,10 @@ def draw_panels(
         geometry_size: Width in pixels of the geometry behind depth, opacity and normals, which is
             then enlarged; by default the field's own feature map, or `NORMALS_SIZE` for normals.
         depth_range: World units about the camera's distance to the origin: brightest, darkest.
+        background: Behind image, face and eyes instead of the field's own.
 
     Returns:
-        Panel to (H, W, 3) uint8.
+        Panel to (H, W, 3) uint8; (H, W, 4) where there is nothing behind.
 
     Raises:
         UserError: as `check_panels`, or a stream that the field does not have.
@@ -74,12 +79,13 @@ def draw_panels(
     names = check_panels(panels, reference)
     drawn: dict[str, np.ndarray] = {}
     parts: tuple[Part, ...] = tuple(part for name, part in _STREAMS.items() if name in names)
-    view = bound.render(camera, parts) if parts else None
+    draw = bound.render if background is None else partial(render_cut_out, bound)
+    view = draw(camera, parts) if parts else None
     for name, part in _STREAMS.items():
         if view is not None and name in names:
             if part not in view.images:
                 raise UserError(f"this field has no {part} stream to show; leave out the panel")
-            drawn[name] = to_uint8(view.images[part])
+            drawn[name] = to_uint8(view.images[part]) if background is None else background.picture(view.cutouts[part])
     if _GEOMETRY & set(names):
         geometry = _head_geometry(bound, camera, view, "normals" in names, geometry_size)
         size = camera.width, camera.height

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -17,6 +18,9 @@ from gazenerf.errors import UserError
 from gazenerf.files import whole_file, whole_folder
 
 KINDS: tuple[str, ...] = (".mp4", ".gif", ".webp", ".png")
+TRANSPARENT_KINDS = (".webp", ".png")
+"""Those whose pixels have an opacity; a GIF's are seen or not, which draws outlines as stairs."""
+
 GIF_FASTEST = 50.0
 """Frames per second; players slow a GIF down beyond this."""
 
@@ -48,13 +52,17 @@ def first_path(path: str | Path) -> Path:
     return path.parent / (path.name % 0) if "%" in path.name else path
 
 
-def check_video(path: str | Path, width: int, height: int, fps: float) -> str:
+def check_video(path: str | Path, width: int, height: int, fps: float, transparent: bool = False) -> str:
     """The kind of a file, if it can hold frames of this size and rate; call before rendering.
 
     Raises:
-        UserError: unknown kind, H.264 of an odd size, or a frame rate that the kind cannot hold.
+        UserError: unknown kind, H.264 of an odd size, or a frame rate or transparency that the kind cannot hold.
     """
     kind = output_kind(path)
+    if transparent and kind not in TRANSPARENT_KINDS:
+        raise UserError(
+            f"{kind[1:]} holds no transparency; name --out .webp, frames/%04d.png or a folder, or --background a colour"
+        )
     if kind == ".mp4" and (width % 2 or height % 2):
         even = f"{width + width % 2}x{height + height % 2}"
         raise UserError(f"H.264 needs an even size, got {width}x{height}; use {even}, or a .gif, .webp or PNG sequence")
@@ -69,7 +77,7 @@ def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float = 25.
 
     Args:
         path: See the module's notes.
-        frames: (H, W, 3) uint8 sRGB, all of one size.
+        frames: (H, W, 3) uint8 sRGB, all of one size; or (H, W, 4) with opacity, for WebP and PNG.
         fps: Frames per second; PNG sequences have none.
         crf: H.264 quality, 0 lossless to 51 worst.
 
@@ -77,7 +85,7 @@ def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float = 25.
         The files written.
 
     Raises:
-        UserError: no frames, a size or rate the kind cannot hold, unwritable output, or no encoder.
+        UserError: no frames, a size, rate or opacity the kind cannot hold, unwritable output, or no encoder.
     """
     path = Path(path)
     kind = output_kind(path)
@@ -86,7 +94,7 @@ def write_video(path: str | Path, frames: Iterable[np.ndarray], fps: float = 25.
     if first is None:
         raise UserError("no frames to write; give --frames 1 or more")
     height, width = first.shape[:2]
-    check_video(path, width, height, fps)
+    check_video(path, width, height, fps, transparent=first.shape[2] == 4)
     checked = _same_size(first, stream)
     if kind == ".png":
         return _write_png(path, checked)
@@ -159,7 +167,11 @@ def _write_webp(path: Path, frames: Iterator[np.ndarray], fps: float) -> None:
     pictures = [Image.fromarray(frame) for frame in frames]
     ends = np.round(1000.0 / fps * np.arange(len(pictures) + 1)).astype(int)
     durations = np.diff(ends).tolist()
-    pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=durations, loop=0, quality=88, method=4)
+    whole: dict[str, Any] = {"kmin": 1, "kmax": 1} if pictures[0].mode == "RGBA" else {}
+    # frames as differences lose a transparency that is the same in all of them
+    pictures[0].save(
+        path, save_all=True, append_images=pictures[1:], duration=durations, loop=0, quality=88, method=4, **whole
+    )
 
 
 def _write_png(path: Path, frames: Iterator[np.ndarray]) -> list[Path]:

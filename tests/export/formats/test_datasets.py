@@ -109,6 +109,25 @@ def test_depth_is_written_where_it_is_asked_for_only(tmp_path):
     assert "depth_file_path" not in tree["frames"][0] and "depth_unit_scale_factor" not in tree
 
 
+def test_pictures_before_nothing_have_an_opacity_and_masks(tmp_path):
+    field, cameras = AnalyticField(), CAMERAS[:2]
+    options = DatasetOptions(points=20, background="transparent", depth=True)
+    written = write_dataset(field, tmp_path / "t", cameras, options)
+    seen = np.isfinite(field.render_geometry(cameras[1]).depth)
+    pixels = np.asarray(Image.open(written["pictures"] / "0001.png"))
+    np.testing.assert_array_equal(pixels[..., 3], np.where(seen, 255, 0))
+    np.testing.assert_array_equal(pixels[seen][:, :3], field.render(cameras[1]).pixels()[seen])
+    np.testing.assert_array_equal(np.asarray(Image.open(written["masks"] / "0001.png.png")), pixels[..., 3])
+    frame = json.loads((tmp_path / "t" / "transforms.json").read_text())["frames"][1]
+    assert "mask_path" not in frame and frame["depth_file_path"] == "depth/0001.npy"
+    assert json.loads((tmp_path / "t" / "dataset.json").read_text())["options"]["background"] == "transparent"
+    white = write_dataset(field, tmp_path / "w", cameras, DatasetOptions(points=20, background="white"))
+    pixels = np.asarray(Image.open(white["pictures"] / "0001.png"))
+    assert pixels.shape[2] == 3 and (pixels[~seen] == 255).all() and (white["masks"] / "0000.png.png").exists()
+    shown = read_frames(tmp_path / "t").images[1]
+    assert (np.asarray(shown)[~seen] > 0.99).all(), "our own check reads what is not there as white"
+
+
 def test_rings_look_at_the_head_from_all_sides():
     cameras = rings(30)
     heights = np.array([np.rad2deg(np.arcsin(camera.position[1] / 12.0)) for camera in cameras])
@@ -122,6 +141,7 @@ def test_rings_look_at_the_head_from_all_sides():
     [
         ({"layouts": ("blender",)}, "nerfstudio, colmap"),
         ({"part": "nose"}, "unknown part"),
+        ({"background": "#ff"}, "is no colour"),
         ({"cameras": []}, "camera"),
     ],
 )

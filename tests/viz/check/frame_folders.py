@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from gazenerf.export.formats.datasets import transforms
+from gazenerf.export.formats.dataset_cameras import transforms
 from gazenerf.geometry import Camera
 
 CAMERAS = [Camera.orbit(np.deg2rad(yaw), 0.1, size=(40, 32)) for yaw in (-10, 0, 10)]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gazenerf.errors import UserError
-from gazenerf.export.formats.datasets import SeenPoints, colmap_model
+from gazenerf.export.formats.dataset_cameras import SeenPoints, colmap_model
 from gazenerf.viz.check.frames import read_frames
 from tests.viz.check.frame_folders import CAMERAS, agrees, scene
 

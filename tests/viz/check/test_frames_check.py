@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from gazenerf.errors import UserError
-from gazenerf.export.formats.datasets import transforms
+from gazenerf.export.formats.dataset_cameras import transforms
 from gazenerf.geometry import Camera
 from gazenerf.viz.check import frames_check
 from gazenerf.viz.check.frames import FrameFolder, read_frames
