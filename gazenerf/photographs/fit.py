@@ -21,7 +21,7 @@ from gazenerf.photographs.irises import CLOSED, find_irises, openness
 from gazenerf.photographs.landmarks import FaceLandmarks
 from gazenerf.photographs.picture_terms import Observed
 from gazenerf.photographs.shape_fit import PictureFit, ShapeFit, fit_shape
-from gazenerf.subjects import Codes, Subject
+from gazenerf.subjects import FITTED, Codes, Subject
 
 PROFILE_DEGREES = 60.0
 SMALLEST_INTEROCULAR, GAZE_INTEROCULAR = 8.0, 40.0
@@ -199,7 +199,7 @@ def _fitted(
     to_seen = np.array([seen.camera.fx / picture.camera.fx, seen.camera.fy / picture.camera.fy])
     shift = np.array([seen.camera.cx, seen.camera.cy]) - to_seen * [picture.camera.cx, picture.camera.cy]
     residuals = measured(photograph, coarse, picture, irises) | {"face_psnr_db": face_psnr(seen, raster.image)}
-    provenance = {"made_by": "gazenerf fit", "photograph": photograph.name, "head_model": model.name, "trained": False,
+    provenance = {"made_by": FITTED, "photograph": photograph.name, "head_model": model.name, "trained": False,
                   "fine_tuned": False, **told_outlines(photograph.landmarks)}  # fmt: skip
     subject = Subject(Path(photograph.name).stem, codes, codes, picture.camera, picture.gaze, provenance)
     detected = marks[: len(table.vertices)]
