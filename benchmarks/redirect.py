@@ -75,12 +75,18 @@ def eye_region(meshes: tuple[HeadMesh, ...], camera: Camera) -> np.ndarray:
 
 def read_gaze(image: np.ndarray, mesh: HeadMesh, camera: Camera, gaze: Gaze) -> float:
     """Degrees by which the iris gauge's reading of one picture misses a gaze, mean of both eyes; NaN for none."""
+    read = read_direction(image, mesh, camera)
+    return np.nan if read is None else float(np.rad2deg(Gaze.from_vector(read).angle_to(gaze)))
+
+
+def read_direction(image: np.ndarray, mesh: HeadMesh, camera: Camera) -> np.ndarray | None:
+    """(3,) mean direction of both eyes by the iris gauge, not of unit length; None where it finds no iris."""
     directions = []
     for eye, centre in zip(("left", "right"), mesh.eye_centres, strict=True):
         found = fit_iris(image / 255.0, opening_mask(mesh, eye, camera), camera, centre, mesh.eye_radius)
         if found is not None:
             directions.append(found.direction)
-    return float(np.rad2deg(Gaze.from_vector(np.mean(directions, axis=0)).angle_to(gaze))) if directions else np.nan
+    return np.mean(directions, axis=0) if directions else None
 
 
 def measured(

@@ -17,6 +17,9 @@ from gazenerf.names import did_you_mean
 from gazenerf.tensor_files import TensorFileKind, open_tensors
 
 FORMAT = "gazenerf-subject-1"
+FITTED = "gazenerf fit"
+"""What `made_by` of the provenance says of subjects that were fitted to photographs."""
+
 MAX_SUBJECT_BYTES = 16 * 2**20
 KIND = TensorFileKind(
     "subject",
@@ -98,6 +101,21 @@ class Subject:
         sizes = "+".join(str(size) for size in self.codes.sizes)
         known = "with" if self.head_codes is not None else "without"
         return f"Subject({self.name!r}, {sizes} codes, {known} head-model parameters)"
+
+    @property
+    def fitted_to(self) -> str | None:
+        """The photograph that `gazenerf fit` fitted the head model to; None for any other subject."""
+        return str(self.provenance.get("photograph")) if self.provenance.get("made_by") == FITTED else None
+
+    @property
+    def stranger_note(self) -> str | None:
+        """What a field makes of a fitted person that it was not fine-tuned to, a sentence; None for others."""
+        if self.fitted_to is None or self.provenance.get("fine_tuned"):
+            return None
+        return (
+            f"The head model was fitted to the photograph {self.fitted_to}, but the field was not fine-tuned to this "
+            "person: it draws a stranger of similar shape."
+        )
 
     def save(self, path: str | Path) -> None:
         """Write one safetensors file with JSON metadata."""

@@ -2,6 +2,7 @@
 
 import json
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from safetensors.numpy import save_file
 from gazenerf import subjects
 from gazenerf.errors import UserError
 from gazenerf.geometry import Camera, Gaze
-from gazenerf.subjects import FORMAT, Codes, Subject, load_subject
+from gazenerf.subjects import FITTED, FORMAT, Codes, Subject, load_subject
 
 
 def codes(seed: int = 0) -> Codes:
@@ -147,3 +148,11 @@ def test_bad_files_are_one_line(tmp_path, kind, message):
 def test_a_missing_file_says_where_names_are_listed(tmp_path):
     with pytest.raises(UserError, match="gazenerf subjects"):
         load_subject(tmp_path / "none.safetensors")
+
+
+def test_subjects_of_photographs_say_what_a_field_makes_of_them():
+    fitted = Subject("me", codes(), provenance={"made_by": FITTED, "photograph": "me.jpg", "fine_tuned": False})
+    assert fitted.fitted_to == "me.jpg" and "me.jpg" in fitted.stranger_note
+    tuned = replace(fitted, provenance=fitted.provenance | {"fine_tuned": True})
+    assert tuned.fitted_to == "me.jpg" and tuned.stranger_note is None
+    assert Subject("ada", codes(), provenance={"photograph": "x"}).fitted_to is None

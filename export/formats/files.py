@@ -149,6 +149,7 @@ def common_facts(bound: BoundField) -> Facts:
         "frame": "right-handed, Y up, face toward +Z, +X toward the subject's left",
         "metres_per_world_unit": bound.metres_per_unit,
         "subject": bound.subject.name,
+        "fitted_to": bound.subject.fitted_to,
         "gaze_pitch_yaw_degrees": list(bound.gaze.degrees),
         "weights_sha256_16": bound.weights_hash,
         "versions": {"gazenerf": __version__, **libraries},

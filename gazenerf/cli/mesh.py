@@ -93,5 +93,7 @@ def run(options: Options) -> int:
             overwrite=options.overwrite,
             progress=progress,
         )
+    if note := head.subject.stranger_note:
+        warn(note)
     summary_table("meshes", mesh_rows(report), mesh_facts(report), report.numbered)
     return 0

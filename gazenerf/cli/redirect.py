@@ -1,16 +1,18 @@
-"""`gazenerf redirect`: the person in a photograph looks elsewhere."""
+"""`gazenerf redirect`: the person in a photograph or a video looks elsewhere."""
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
 from gazenerf.errors import UserError
 from gazenerf.options import option
+from gazenerf.photographs.clips.clip import SUFFIXES
 from gazenerf.photographs.make_redirect import RedirectOptions
 from gazenerf.viz.pictures.redirect_sheet import GridOptions
 
-HELP = "change where the person in a photograph looks, for one picture or a folder"
+HELP = "change where the person in a photograph looks, for one picture, a folder of them or a video"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,16 +20,22 @@ class Options(GridOptions, RedirectOptions):
     """What the command takes.
 
     Attributes:
-        photograph: A picture or a folder of them.
-        out: A picture, or a folder for a folder.
+        photograph: A picture, a folder of them, or a video.
+        out: A picture, a folder for a folder, or a video for a video.
         grid: Many gazes in one labelled picture.
         overwrite: Replace files.
     """
 
-    photograph: Path = option(help="photograph (PNG, JPEG, WebP) or a folder of them", flag="photograph")
-    out: Path = option(help=".png (keeps every pixel), .jpg or .webp; a folder for a folder", metavar="FILE")
+    photograph: Path = option(
+        help="photograph (PNG, JPEG, WebP), a folder of them, or a video (.mp4, .mov, .m4v, .mkv, .webm, .avi)",
+        flag="photograph",
+    )
+    out: Path = option(
+        help=".png (keeps every pixel), .jpg or .webp; a folder for a folder; .mp4, .mov or .mkv for a video",
+        metavar="FILE",
+    )
     grid: bool = option(False, "many gazes in one labelled picture; see below", only_one="what")
-    overwrite: bool = option(False, "replace existing files, begin a folder anew")
+    overwrite: bool = option(False, "replace existing files, begin a folder or video anew")
 
 
 def run(options: Options) -> int:
@@ -36,9 +44,12 @@ def run(options: Options) -> int:
 
     if not options.grid:
         options.refuse_nowhere()
+    video = options.photograph.suffix.lower() in SUFFIXES and not options.photograph.is_dir()
     with naming_missing_libraries():
         if options.photograph.is_dir():
             return _folder(options)
+        if video:
+            return _video(options)
         return _sheet(options) if options.grid else _one(options)
 
 
@@ -102,6 +113,31 @@ def _folder(options: Options) -> int:
     summary_table(f"pictures of {options.photograph.name}", rows)
     if not made.counts[REDIRECTED]:
         raise UserError(f"no picture of {options.photograph} could be redirected; the lines above say why")
+    return 0
+
+
+def _video(options: Options) -> int:
+    from gazenerf.cli.common import showing_progress, summary_table, warn
+    from gazenerf.viz.pictures.redirect_video import redirect_video
+
+    if options.grid:
+        raise UserError("--grid takes one photograph; give a picture instead of a video")
+    with showing_progress() as progress:
+        made = redirect_video(options.photograph, options.out, options, options.overwrite, progress)
+    for line in made.warnings:
+        warn(line)
+    reasons = Counter(reason for reason in made.why if reason).most_common()
+    rows = {
+        "video": made.file,
+        "frames": f"{made.redirected} redirected, {len(made.why) - made.redirected} passed on unchanged",
+        "passed on because": "; ".join(f"{why} ({count})" for why, count in reasons) or "none was",
+        "frame rate": f"{float(made.clip.rate):.3f} a second{', resampled' if made.clip.resampled else ''}",
+        "sound": f"{made.clip.sound}, copied" if made.clip.sound else "none",
+        "what became of each": made.record,
+        "metadata": "says that the video was altered" if options.mark else "does not say that the video was altered",
+        "seconds": f"{made.seconds:.1f}{', going on with an earlier run' if made.resumed else ''}",
+    }
+    summary_table(f"{options.photograph.name} redirected", rows)
     return 0
 
 

@@ -15,6 +15,19 @@ CORNEA_AHEAD = 0.47
 
 
 @dataclass(frozen=True)
+class KnownEyes:
+    """What other frames of a video tell of the eyes in one of them.
+
+    Attributes:
+        offsets: (2, 3) from the fitted eyeballs' centres to the true ones, left first, world units.
+        irises: (2, 2) where the picture shows the centres of the irises' discs, pixels; NaN where it does not.
+    """
+
+    offsets: np.ndarray
+    irises: np.ndarray
+
+
+@dataclass(frozen=True)
 class Eyeball:
     """A sphere that turns about its centre.
 
@@ -53,6 +66,25 @@ class Eyeball:
         _, z = camera.project(self.centre)
         step = np.array([pixels[0] / camera.fx, pixels[1] / camera.fy, 0.0]) * float(z)
         return Eyeball(self.centre + camera.world_from_camera[:3, :3] @ step, self.radius)
+
+    def towards(self, pixel: np.ndarray, camera: Camera, reach: float) -> Gaze | None:
+        """The gaze at which a picture shows the point of the optical axis that lies `reach` radii from the centre.
+
+        Args:
+            pixel: (2,) where it is shown; NaN where that is unknown.
+            camera: Of the picture.
+            reach: Radii.
+
+        Returns:
+            None where it cannot be there.
+        """
+        if not np.isfinite(pixel).all():
+            return None
+        origins, rays = camera.rays(pixel[None])
+        offset = origins[0] - self.centre
+        along = float(offset @ rays[0])
+        under = along**2 - (float(offset @ offset) - (reach * self.radius) ** 2)
+        return Gaze.from_vector(offset + (-along - np.sqrt(under)) * rays[0]) if under > 0.0 else None
 
     def glint_motion(self, source: Gaze, target: Gaze, camera: Camera) -> np.ndarray:
         """(2,) pixels by which the reflection of a distant lamp moves in the picture.

@@ -21,7 +21,7 @@ from gazenerf.photographs.irises import CLOSED, find_irises, openness
 from gazenerf.photographs.landmarks import FaceLandmarks
 from gazenerf.photographs.picture_terms import Observed
 from gazenerf.photographs.shape_fit import PictureFit, ShapeFit, fit_shape
-from gazenerf.subjects import Codes, Subject
+from gazenerf.subjects import FITTED, Codes, Subject
 
 PROFILE_DEGREES = 60.0
 SMALLEST_INTEROCULAR, GAZE_INTEROCULAR = 8.0, 40.0
@@ -79,7 +79,7 @@ class FittedPhotograph:
 
 
 def fit_photographs(
-    photographs: Sequence[Photograph], model: HeadModel, table_path: Path | None = None
+    photographs: Sequence[Photograph], model: HeadModel, table_path: Path | None = None, one_camera: bool = False
 ) -> list[FittedPhotograph]:
     """Fit one person in one or several photographs; they share identity and texture.
 
@@ -87,6 +87,7 @@ def fit_photographs(
         photographs: Of one person, all with the same kind of landmarks.
         model: The head model.
         table_path: Landmark table of the head model; see `table_for`.
+        one_camera: The photographs have one focal length, as frames of a video have.
 
     Raises:
         UserError: a face is too small or seen in profile, or the landmarks differ in kind.
@@ -101,10 +102,10 @@ def fit_photographs(
             )
     table = table_for(model, photographs[0].landmarks.dense, table_path)
     observed = [Observed(p.landmarks, (p.pixels.shape[1], p.pixels.shape[0]), focal=p.focal) for p in photographs]
-    coarse = fit_shape(model, observed, table)
+    coarse = fit_shape(model, observed, table, one_camera=one_camera)
     for photograph, picture in zip(photographs, coarse.pictures, strict=True):
         refuse_profile(photograph.name, picture)
-    shape = _with_pixel_irises(model, photographs, observed, table, coarse)
+    shape = _with_pixel_irises(model, photographs, observed, table, coarse, one_camera)
     seen = [_seen(model, p, shape, i) for i, p in enumerate(photographs)]
     texture, lights = fit_appearance(model, seen)
     return [
@@ -134,6 +135,7 @@ def _with_pixel_irises(
     observed: list[Observed],
     table: LandmarkTable,
     coarse: ShapeFit,
+    one_camera: bool,
 ) -> ShapeFit:
     """The fit with irises from pixels where they are found."""
     centres = np.asarray(model.eye_centres(coarse.identity), dtype=np.float64)
@@ -143,7 +145,9 @@ def _with_pixel_irises(
         mesh = _shape_mesh(model, coarse.identity, picture)
         args = photograph.pixels, photograph.landmarks, picture.camera, centres, radius, mesh
         better.append(item.with_irises(find_irises(*args)))
-    return coarse if all(item.irises is None for item in better) else fit_shape(model, better, table, coarse)
+    if all(item.irises is None for item in better):
+        return coarse
+    return fit_shape(model, better, table, coarse, one_camera=one_camera)
 
 
 def _shape_mesh(model: HeadModel, identity: np.ndarray, picture: PictureFit) -> HeadMesh:
@@ -195,7 +199,7 @@ def _fitted(
     to_seen = np.array([seen.camera.fx / picture.camera.fx, seen.camera.fy / picture.camera.fy])
     shift = np.array([seen.camera.cx, seen.camera.cy]) - to_seen * [picture.camera.cx, picture.camera.cy]
     residuals = measured(photograph, coarse, picture, irises) | {"face_psnr_db": face_psnr(seen, raster.image)}
-    provenance = {"made_by": "gazenerf fit", "photograph": photograph.name, "head_model": model.name, "trained": False,
+    provenance = {"made_by": FITTED, "photograph": photograph.name, "head_model": model.name, "trained": False,
                   "fine_tuned": False, **told_outlines(photograph.landmarks)}  # fmt: skip
     subject = Subject(Path(photograph.name).stem, codes, codes, picture.camera, picture.gaze, provenance)
     detected = marks[: len(table.vertices)]

@@ -9,12 +9,13 @@ import numpy as np
 
 from gazenerf.errors import UserError
 from gazenerf.geometry import Camera, Gaze
+from gazenerf.head_model.eyes import IRIS_ANGLE
 from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, HeadMesh, HeadModel
 from gazenerf.head_model.lids import smoothstep
 from gazenerf.head_model.shading import linear_to_srgb, srgb_to_linear
 from gazenerf.photographs.eye_layers import EyeLayers, take_apart
 from gazenerf.photographs.eye_outlines import eye_outlines, outline_openness
-from gazenerf.photographs.eyeball import Eyeball, sample
+from gazenerf.photographs.eyeball import Eyeball, KnownEyes, sample
 from gazenerf.photographs.grain import grain, grain_level
 from gazenerf.photographs.irises import CLOSED, find_iris
 from gazenerf.photographs.lid_motion import lid_motion, shown_part
@@ -89,12 +90,15 @@ class Redirector:
         subject: The head model fitted to it, with its camera; its `provenance` may have `eye_outlines`, those of the
             openings of the left and the right eye in pixels, else the fitted lids count.
         model: Its head model.
+        known: What other frames of a video tell of the eyes. By default each eyeball is moved in the picture until its
+            iris is where the picture shows it at the subject's gaze; eyeballs that are known stay, and each has the
+            gaze that its iris tells.
 
     Raises:
         UserError: the subject is of another picture or has no camera, or neither eye shows an iris.
     """
 
-    def __init__(self, pixels: np.ndarray, subject: Subject, model: HeadModel) -> None:
+    def __init__(self, pixels: np.ndarray, subject: Subject, model: HeadModel, known: KnownEyes | None = None) -> None:
         camera = subject.camera
         if camera is None or subject.head_codes is None:
             raise UserError("the subject has no camera or no head-model parameters; make it by `gazenerf fit`")
@@ -106,6 +110,7 @@ class Redirector:
         if subject.head_codes.sizes != model.code_sizes:
             raise UserError("the subject was fitted with another head model; give it with --head-model")
         self.pixels, self.subject, self.camera = pixels, subject, camera
+        self._known = known
         self._model, self._codes = model, subject.head_codes
         self.mesh: HeadMesh = model.mesh(subject.head_codes, subject.gaze)
         centres = camera.project(self.mesh.eye_centres)[0]
@@ -133,6 +138,12 @@ class Redirector:
             Gaze.from_vector(self.camera.position - window.layers.eyeball.centre) for window in self._windows
         )
         return left, right
+
+    def eye_offsets(self) -> np.ndarray:
+        """(2, 3) from the fitted eyeballs' centres to those that agree with the irises, world units; NaN where no iris
+        was seen."""
+        moved = np.stack([window.layers.eyeball.centre for window in self._windows]) - self.mesh.eye_centres
+        return np.where(np.array(self.irises_seen)[:, None], moved, np.nan)
 
     def draw(self, gazes: Gaze | tuple[Gaze, Gaze]) -> Redirected:
         """The photograph at another gaze.
@@ -181,16 +192,30 @@ class Redirector:
         part = self.pixels[top : top + h, left : left + w].astype(np.float32) / 255.0
         large = cv2.resize(part, (w * factor, h * factor), interpolation=cv2.INTER_CUBIC)
         opening = self._opening(eye, large, camera, np.array([left, top]), factor)
-        eyeball = Eyeball(np.asarray(self.mesh.eye_centres[eye], np.float64), self.mesh.eye_radius)
+        eyeball, gaze = self._placed(eye, large, opening, camera, factor)
+        linear = srgb_to_linear(large)
+        layers = take_apart(linear, opening, camera, eyeball, gaze, self.unit * factor, factor)
+        return _Window(left, top, w, h, factor, linear, layers)
+
+    def _placed(
+        self, eye: int, large: np.ndarray, opening: np.ndarray, camera: Camera, factor: int
+    ) -> tuple[Eyeball, Gaze]:
+        """An eyeball, and the gaze at which its iris is where a window, (H, W, 3) in [0, 1], shows it."""
+        eyeball, gaze = (
+            Eyeball(np.asarray(self.mesh.eye_centres[eye], np.float64), self.mesh.eye_radius),
+            self.subject.gaze,
+        )
+        if self._known is not None:
+            eyeball = Eyeball(eyeball.centre + self._known.offsets[eye], eyeball.radius)
+            told = eyeball.towards(self._known.irises[eye], self.camera, float(np.cos(IRIS_ANGLE)))
+            self.irises_seen[eye] = told is not None
+            return eyeball, told or gaze
         found = find_iris(large, opening, camera, eyeball, self.unit * factor)
         if found is not None:
             self.irises_seen[eye] = True
-            there = np.stack([found.direction, self.subject.gaze.vector()])
-            seen, fitted = eyeball.project(there, camera)
+            seen, fitted = eyeball.project(np.stack([found.direction, gaze.vector()]), camera)
             eyeball = eyeball.moved_in_picture(seen - fitted, camera)
-        linear = srgb_to_linear(large)
-        layers = take_apart(linear, opening, camera, eyeball, self.subject.gaze, self.unit * factor, factor)
-        return _Window(left, top, w, h, factor, linear, layers)
+        return eyeball, gaze
 
     def _opening(self, eye: int, large: np.ndarray, camera: Camera, corner: np.ndarray, factor: int) -> np.ndarray:
         """(H, W) share of each pixel of a window, (H, W, 3) in [0, 1], between the lids."""

@@ -6,7 +6,8 @@ Each picture has a camera, a gaze and an expression of its own; all share one id
   that the table tells for this pose, gaze and identity, and a combination of its error components, whose amounts are
   fitted with unit variance (docs/photos.md);
 - residuals of irises that were found in the pixels;
-- squares of identity, expression, gaze and the logarithm of the distance, in units of their prior's deviation.
+- squares of identity, expression, gaze and the logarithm of the distance, in units of their prior's deviation;
+- where one camera took all pictures, squares of how far their focal lengths lie apart.
 
 Focal length and distance are all but exchangeable in one picture; what decides is the prior of the distance, which
 holds for cropped pictures as well as for whole ones, unlike one of the focal length.
@@ -43,6 +44,9 @@ GAZE_DEVIATION = np.deg2rad([11.0, 16.0])
 
 POSE_STEPS, STEPS, MORE_STEPS = 60, 180, 90
 
+ONE_FOCAL_DEVIATION = 0.01
+"""Of the logarithm of a focal length, among pictures of one camera."""
+
 EXPRESSION_UNIT = 0.1
 """A step of an expression coefficient for the minimiser."""
 
@@ -54,6 +58,7 @@ class PictureFit:
     Attributes:
         camera: Its world is the head's frame.
         gaze, expression: Head frame; (E,).
+        errors: (C,) amounts of the table's error components.
         residual_px: (L,) distances of the table's landmarks from the fitted vertices.
         unexplained_px: (L,) what the table's misses and error components leave of them.
         projected: (L, 2) where the fitted vertices are seen, pixels.
@@ -63,6 +68,7 @@ class PictureFit:
     camera: Camera
     gaze: Gaze
     expression: np.ndarray
+    errors: np.ndarray
     residual_px: np.ndarray
     unexplained_px: np.ndarray
     projected: np.ndarray
@@ -85,7 +91,12 @@ class ShapeFit:
 
 
 def fit_shape(
-    model: HeadModel, observed: Sequence[Observed], table: LandmarkTable, start: ShapeFit | None = None
+    model: HeadModel,
+    observed: Sequence[Observed],
+    table: LandmarkTable,
+    start: ShapeFit | None = None,
+    identity: np.ndarray | None = None,
+    one_camera: bool = False,
 ) -> ShapeFit:
     """Fit one person in one or several pictures.
 
@@ -93,10 +104,15 @@ def fit_shape(
         model: The head model.
         observed: Pictures of one person.
         table: For this model and these landmarks.
-        start: A fit to begin with; else the mean head is turned to the landmarks first.
+        start: A fit of these pictures, or of the frames before them, to begin with; else the mean head is turned to the
+            landmarks first.
+        identity: (I,) where it is known and only the rest is fitted.
+        one_camera: The pictures have one focal length.
     """
-    problem = _Problem(model, observed, table)
+    problem = _Problem(model, observed, table, identity is not None, one_camera)
     values = problem.values(start) if start is not None else problem.posed()
+    if identity is not None:
+        values[: len(identity)] = identity
     values, cost = problem.minimised(values, STEPS if start is None else MORE_STEPS)
     return problem.fit(values, cost)
 
@@ -105,7 +121,15 @@ class _Problem:
     """The cost and its parameters, one flat vector: identity; then rotation, place, scale, distance, gaze, expression
     and error components of each picture."""
 
-    def __init__(self, model: HeadModel, observed: Sequence[Observed], table: LandmarkTable) -> None:
+    def __init__(
+        self,
+        model: HeadModel,
+        observed: Sequence[Observed],
+        table: LandmarkTable,
+        known: bool = False,
+        one_camera: bool = False,
+    ) -> None:
+        self.known, self.one_camera = known, one_camera and len(observed) > 1
         if any(item.landmarks.irises is None for item in observed):
             table = table.without_irises()
         self.table, self.observed = table, list(observed)
@@ -132,6 +156,9 @@ class _Problem:
             total = total + terms.landmark_cost(picture, points, identity) + terms.iris_cost(picture, centres)
             total = total + (picture.expression / seen).square().sum() + picture.errors.square().sum()
             total = total + (picture.gaze / double(GAZE_DEVIATION)).square().sum() + terms.distance_cost(picture)
+        if self.one_camera:
+            focal = torch.stack([t.transform(p)[2] for t, p in zip(self.terms, pictures, strict=True)]).log()
+            total = total + ((focal - focal.mean()) / ONE_FOCAL_DEVIATION).square().sum()
         return total
 
     def marks(self, identity: torch.Tensor, picture: PictureParameters) -> torch.Tensor:
@@ -177,7 +204,8 @@ class _Problem:
             np.where(self.deviation > 0.0, 1.0, 0.0) / self.units()[-self.sizes[1] - self.sizes[2] :][: self.sizes[1]]
         )
         single = free * 9 + [(0.0, float(value)) for value in most]
-        return free * self.sizes[0] + (single + free * self.sizes[2]) * len(self.observed)
+        shape = [(value, value) for value in values[: self.sizes[0]]] if self.known else free * self.sizes[0]
+        return shape + (single + free * self.sizes[2]) * len(self.observed)
 
     def posed(self) -> np.ndarray:
         """The mean head turned to each picture's landmarks."""
@@ -200,7 +228,7 @@ class _Problem:
             single = np.zeros(self.per_picture)
             single[:7] = terms.from_camera(picture.camera, self.points.eye_centres(double(start.identity)).numpy())
             single[7:9] = picture.gaze.pitch, picture.gaze.yaw
-            single[9 : 9 + self.sizes[1]] = picture.expression
+            single[9:] = np.concatenate([picture.expression, picture.errors])
             values.append(single)
         return np.concatenate(values)
 
@@ -216,8 +244,8 @@ class _Problem:
             found.append(
                 PictureFit(
                     terms.camera(picture), Gaze(pitch, yaw), picture.expression.numpy().copy(),
-                    np.linalg.norm(projected - marks, axis=1), missed * terms.pixels_per_mm, projected,
-                    terms.pixels_per_mm,
+                    picture.errors.numpy().copy(), np.linalg.norm(projected - marks, axis=1),
+                    missed * terms.pixels_per_mm, projected, terms.pixels_per_mm,
                 )
             )  # fmt: skip
         return ShapeFit(identity.numpy().copy(), found, cost)

@@ -44,7 +44,8 @@ def with_head(monkeypatch):
     sizes = load_head_model().code_sizes
     light = sample_illumination(np.random.default_rng(0))
     head = Codes(*(np.zeros(size, np.float32) for size in sizes[:3]), light)
-    subject = Subject("somebody", analytic_subject().codes, head)
+    photograph = {"made_by": "gazenerf fit", "photograph": "me.jpg", "fine_tuned": False}
+    subject = Subject("somebody", analytic_subject().codes, head, provenance=photograph)
 
     def bind(gaze):
         return AnalyticField(gaze, subject, sharpness=0.2)
@@ -81,6 +82,7 @@ def test_exit_codes_follow_the_thresholds(with_head, tmp_path, capsys):
     assert check.run(arguments(*given, "--seed", "7", "--fail-on", "depth_median_mm=500")) == 0
     data = json.loads((out / "report.json").read_text())
     assert data["about"]["subject"] == "somebody" and len(data["about"]["reference_mesh_sha256_16"]) == 16
+    assert data["about"]["fitted_to"] == "me.jpg" and "not fine-tuned to this person" in data["notes"][0]
     assert data["about"]["seed"] == 7 and len(data["tsed_pairs"]) > 5
     assert next(m["value"] for m in data["metrics"] if m["name"] == "depth_median_mm") > 1.0, "an egg is no head"
     assert not (out / "error.glb").exists()

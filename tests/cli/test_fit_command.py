@@ -8,9 +8,14 @@ import sys
 
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 
+import gazenerf.export.appearance.colours
 from gazenerf.cli.main import main
+from gazenerf.geometry import Gaze
+from gazenerf.head_model import load_head_model
+from gazenerf.head_model.interface import FACE
 from gazenerf.subjects import Subject
 
 
@@ -74,3 +79,27 @@ def test_a_picture_without_a_face_is_one_line(folder, capsys):
     program.write_text(f'#!/bin/sh\nexec "{sys.executable}" "{script}" "$@"\n')
     program.chmod(program.stat().st_mode | stat.S_IXUSR)
     assert "no face was found in" in refused(folder, capsys, "--photo-python", str(program))
+
+
+def test_a_fitted_subject_is_meshed_with_texture_and_rig_as_bundled_ones_are(folder, tmp_path, capsys, monkeypatch):
+    """By the small field, coarsely: what is written, and what is said of whom it shows."""
+    monkeypatch.setattr("gazenerf.photographs.shape_fit.STEPS", 15)
+    monkeypatch.setattr("gazenerf.photographs.shape_fit.MORE_STEPS", 5)
+    monkeypatch.setattr(gazenerf.export.appearance.colours, "PICTURE", 96)
+    subject = tmp_path / "me.safetensors"
+    assert fit(folder, "--landmarks", str(folder / "marks.npy"), "--out", str(subject)) == 0
+    capsys.readouterr()
+    words = ["--checkpoint", "small", "--resolution", "40", "--threshold", "20", "--formats", "glb", "--no-clip"]
+    words += ["--texture", "1024", "--rig", "--subject", str(subject)]
+    assert main(["mesh", *words, "--out", str(tmp_path / "mesh")]) == 0
+    assert "draws a stranger of similar shape" in capsys.readouterr().err
+    written = {file.name for file in (tmp_path / "mesh").iterdir()}
+    assert written == {"face.glb", "face.json", "eyes.glb", "eyes.json", "rig.glb", "rig.json"}
+    for name in ("face", "eyes", "rig"):
+        assert json.loads((tmp_path / "mesh" / f"{name}.json").read_text())["fitted_to"] == "me.png"
+    face = trimesh.load(tmp_path / "mesh" / "face.glb", force="mesh", process=False)
+    truth = Subject.load(subject)
+    head = load_head_model().mesh(truth.head_codes, Gaze())
+    skin = 0.1 * head.vertices[np.unique(head.part_faces(FACE))]
+    away = np.linalg.norm(skin[::50, None] - face.vertices[None], axis=-1).min(axis=1)
+    assert np.median(away) < 0.006, "metres between the fitted head model and the field's face"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import stat
 import sys
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ from PIL import Image
 
 from benchmarks.redirect import true_subject
 from gazenerf.cli.main import main
+from gazenerf.photographs.clips.clip import Clip
+from gazenerf.viz.pictures.redirect_video import MadeVideo
 
 
 @pytest.fixture(scope="module")
@@ -144,3 +147,29 @@ def test_folders_refuse_what_belongs_to_one_photograph(folder, tmp_path, capsys)
     assert main([*words, "--grid"]) == 2
     assert "--grid takes one photograph" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_videos_that_cannot_be_redirected_are_one_line(tmp_path, capsys):
+    (tmp_path / "text.mp4").write_text("no video")
+    gaze, out = ["--gaze", "0", "5"], ["--out", str(tmp_path / "new.mp4")]
+
+    def said(*words: str) -> str:
+        return refused(tmp_path, capsys, *words, photograph="text.mp4")
+
+    assert "has no frames that can be read" in said(*gaze, *out)
+    assert "--grid takes one photograph; give a picture instead of a video" in said("--grid", *out)
+    assert "name --out .mp4, .mov, .mkv" in said(*gaze, "--out", str(tmp_path / "new.png"))
+    assert "--landmarks belongs to one photograph" in said(*gaze, *out, "--landmarks", "a.npy")
+    assert "say where the eyes shall look" in said(*out)
+
+
+def test_a_video_is_written_with_a_table_of_its_frames(tmp_path, capsys, monkeypatch):
+    """The command prints what `redirect_video` did; that is tested in tests/viz."""
+    path = tmp_path / "a.mp4"
+    clip = Clip(path, 64, 48, Fraction(25), 3, 0.0, False, None, "aac", ())
+    made = MadeVideo(path, path, clip, ["", "no face was found", ""], ["the clip is odd"], False, 1.0)
+    monkeypatch.setattr("gazenerf.viz.pictures.redirect_video.redirect_video", lambda *_: made)
+    assert main(["redirect", str(path), "--look-at-camera", "--out", str(tmp_path / "b.mp4")]) == 0
+    printed = capsys.readouterr()
+    assert "2 redirected, 1 passed on unchanged" in printed.out and "no face was found (1)" in printed.out
+    assert "aac, copied" in printed.out and "warning: the clip is odd" in printed.err

@@ -101,3 +101,12 @@ def test_skin_moves_as_the_head_models_vertices_do(model):
         np.testing.assert_allclose(motion[row, column], old - new, atol=1.0)
         assert old[1] - new[1] < -2.0
     assert shown_part(before, window, EYE_LEFT).sum() > 200 and not shown_part(before, window, EYE_RIGHT).any()
+
+
+def test_the_gaze_is_told_by_where_the_iris_is_seen():
+    gaze = Gaze.from_degrees(9.0, -17.0)
+    pixel = CAMERA.project(0.9 * EYE.radius * gaze.vector())[0]
+    told = EYE.towards(pixel, CAMERA, 0.9)
+    assert told is not None and told.angle_to(gaze) < 1e-9
+    assert EYE.towards(np.array([np.nan, 3.0]), CAMERA, 0.9) is None
+    assert EYE.towards(np.array([2.0, 80.0]), CAMERA, 0.9) is None, "beside the eyeball"

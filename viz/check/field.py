@@ -133,7 +133,7 @@ def check_subject(
         eyes=eyes,
         strips=strips,
         strip_degrees=(-SWEEP_DEGREES, SWEEP_DEGREES),
-        notes=(*notes, *pair_notes, *_left_out(eyes, orbit)),
+        notes=(*_of_a_stranger(bound), *notes, *pair_notes, *_left_out(eyes, orbit)),
         orbit=orbit,
     )
 
@@ -239,6 +239,12 @@ def _between(
     )
 
 
+def _of_a_stranger(bound: BoundField) -> list[str]:
+    """What a reader has to know of a reference that was fitted to a photograph."""
+    note = bound.subject.stranger_note
+    return [] if note is None else [f"{note} These numbers compare it with the fitted head model, not with the person."]
+
+
 def _left_out(eyes: EyeSweep | None, orbit: OrbitPictures | None) -> list[str]:
     """Sentences on what the options left out, or what could not be measured."""
     notes = []
@@ -261,6 +267,7 @@ def _strip_points(mesh: HeadMesh) -> dict[str, np.ndarray]:
 def _about(bound: BoundField, mesh: HeadMesh, options: CheckOptions, eyes: EyeSweep | None) -> dict[str, Any]:
     return {
         "subject": bound.subject.name,
+        "fitted_to": bound.subject.fitted_to,
         "gaze_pitch_yaw_degrees": list(bound.gaze.degrees),
         "gaze_grid_degrees": [] if eyes is None else eyes.commanded.tolist(),
         "weights_sha256_16": bound.weights_hash,
