@@ -7,7 +7,7 @@ import io
 import os
 import socket
 import sys
-import threading
+import time
 import webbrowser
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from gazenerf.viz.viewer.page import Page
 
 ANY_ADDRESS = {"0.0.0.0", "::", ""}
+
+AWAKE = 0.25
+"""Seconds after which at most Ctrl-C is noticed."""
 
 
 def check_viser() -> None:
@@ -94,4 +97,5 @@ def serve(head: HeadField, source: Source, host: str, port: int) -> None:
         print(f"gazenerf view: {address} (Ctrl-C ends it)", flush=True)
         if has_desktop():
             webbrowser.open(address)
-        threading.Event().wait()
+        while True:  # a wait without an end can miss a signal that comes just before it begins
+            time.sleep(AWAKE)
