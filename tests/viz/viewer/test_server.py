@@ -82,7 +82,13 @@ def test_ctrl_c_ends_it_with_exit_code_0():
     command = [sys.executable, "-m", "gazenerf", "view", "--checkpoint", "small", "--port", "0"]
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
     environment.pop("DISPLAY", None)
-    viewer = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
+
+    def listen() -> None:  # tests that a shell runs in the background ignore Ctrl-C, and so would what they start
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+    viewer = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment, preexec_fn=listen
+    )
     try:
         assert viewer.stdout is not None
         line = viewer.stdout.readline()
