@@ -24,7 +24,8 @@ def main() -> None:
         browser = driver.chromium.launch(executable_path=chromium, args=ARGUMENTS)
         tab = browser.new_page(viewport={"width": 1120, "height": 680}, reduced_motion="reduce")
         tab.goto(Path(sys.argv[1]).absolute().as_uri())
-        tab.wait_for_function("window.rig !== undefined")
+        while not tab.evaluate("window.rig !== undefined"):  # the page forbids the eval of wait_for_function
+            tab.wait_for_timeout(50)
         tab.evaluate("rig.controls.rotateLeft(0.45); rig.controls.update(); rig.turn(6, 22)")
         tab.wait_for_timeout(1000)
         Image.open(io.BytesIO(tab.screenshot())).convert("RGB").save(TARGET, quality=88, method=6)

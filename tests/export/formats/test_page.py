@@ -85,7 +85,8 @@ class Tab:
         self.tab.on("console", lambda message: self.said.append(message.text))
         self.tab.on("pageerror", lambda error: self.said.append(str(error)))
         self.tab.goto(address)
-        self.tab.wait_for_function("window.rig !== undefined")
+        # not wait_for_function: when it asks again it does so with eval, which the page forbids
+        wait_until(lambda: self.tab.evaluate("window.rig !== undefined"), seconds=90.0)
 
     def seen(self) -> np.ndarray:
         """(H, W, 3) uint8, the stage on which the head is drawn."""
