@@ -21,7 +21,6 @@ from gazenerf.data.rasterizer import Rasterizer
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model import load_head_model
 from gazenerf.head_model.sampling import sample_expression, sample_person
-from gazenerf.head_model.shading import shade
 from gazenerf.heads import Head
 from gazenerf.subjects import Codes, Subject
 
@@ -60,8 +59,7 @@ def by_head_model(rasterizer: Rasterizer) -> Draw:
     model = load_head_model()
 
     def draw(codes: Codes, gaze: Gaze, camera: Camera) -> np.ndarray:
-        mesh = model.mesh(codes, gaze)
-        return rasterizer.render(mesh, shade(mesh, codes.illumination, camera.position), camera).image / 255.0
+        return rasterizer.render_lit(model.mesh(codes, gaze), codes.illumination, camera).image / 255.0
 
     return draw
 
@@ -88,7 +86,8 @@ def eyes_of(truth: Draw, fields: list[Draw], size: int = 512) -> np.ndarray:
     """A row of nine gazes for the head model and each field."""
     model, codes = load_head_model(), people()[2].neutral
     camera = Camera.orbit(yaw=0.0, size=size)
-    centres, radius = model.mesh(codes, Gaze()).eye_centres, model.mesh(codes, Gaze()).eye_radius
+    mesh = model.mesh(codes, Gaze())
+    centres, radius = mesh.eye_centres, mesh.eye_radius
     middle = camera.project(centres)[0]
     left, right = np.floor(middle[:, 0].min()), np.ceil(middle[:, 0].max())
     reach = 1.4 * radius * abs(right - left) / np.linalg.norm(centres[0] - centres[1])

@@ -56,12 +56,11 @@ def join(base: Path, more: Path, out: Path, held_out: set[int], others: bool = F
     write_manifest(out, about)
     for name, shard in chosen.items():
         _link(shard, out / name)
-    if not others:
-        return len(chosen)
-    for shard in _shards(more):
-        first = manifests[0]["people"]
+    renumbered = _shards(more) if others else []
+    first = manifests[0]["people"]
+    for shard in renumbered:
         write_shard(out, [replace(capture, person=first + capture.person) for capture in read_shard(shard)])
-    return len(chosen) + len(_shards(more))
+    return len(chosen) + len(renumbered)
 
 
 def _shards(folder: Path) -> list[Path]:

@@ -22,7 +22,6 @@ from gazenerf.evaluation.quality import IRIS_GAZES, UNITS, Instruments, evaluate
 from gazenerf.files import whole_file
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model import load_head_model
-from gazenerf.head_model.shading import shade
 from gazenerf.options import option
 from gazenerf.progress import Progress, silent
 from gazenerf.subjects import Codes
@@ -181,7 +180,6 @@ def _reference(size: int, stack: contextlib.ExitStack) -> Callable[[Codes, Gaze,
     rasterizer = stack.enter_context(Rasterizer((size, size)))
 
     def draw(codes: Codes, gaze: Gaze, camera: Camera) -> np.ndarray:
-        mesh = model.mesh(codes, gaze)
-        return rasterizer.render(mesh, shade(mesh, codes.illumination, camera.position), camera).image / 255.0
+        return rasterizer.render_lit(model.mesh(codes, gaze), codes.illumination, camera).image / 255.0
 
     return draw

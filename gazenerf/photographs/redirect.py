@@ -201,10 +201,8 @@ class Redirector:
         self, eye: int, large: np.ndarray, opening: np.ndarray, camera: Camera, factor: int
     ) -> tuple[Eyeball, Gaze]:
         """An eyeball, and the gaze at which its iris is where a window, (H, W, 3) in [0, 1], shows it."""
-        eyeball, gaze = (
-            Eyeball(np.asarray(self.mesh.eye_centres[eye], np.float64), self.mesh.eye_radius),
-            self.subject.gaze,
-        )
+        gaze = self.subject.gaze
+        eyeball = Eyeball(np.asarray(self.mesh.eye_centres[eye], np.float64), self.mesh.eye_radius)
         if self._known is not None:
             eyeball = Eyeball(eyeball.centre + self._known.offsets[eye], eyeball.radius)
             told = eyeball.towards(self._known.irises[eye], self.camera, float(np.cos(IRIS_ANGLE)))

@@ -7,7 +7,6 @@ Where a point lies on the template is known of the head model's people, and lear
 
 from __future__ import annotations
 
-import math
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,11 +20,11 @@ from gazenerf.data.surface_points import SurfacePoints, draw_person, points_of, 
 from gazenerf.errors import UserError
 from gazenerf.field.distance import DistanceNetwork
 from gazenerf.field.model import TwoStreamField
-from gazenerf.files import whole_file
 from gazenerf.geometry import Gaze
 from gazenerf.head_model import load_head_model
 from gazenerf.progress import Progress, counted, silent
 from gazenerf.training.config import TrainConfig
+from gazenerf.training.point_learning import PointLearning
 from gazenerf.training.record import append_row, forget_after, read_state
 from gazenerf.training.runtime import Runtime
 from gazenerf.workers import cores, in_order, pool
@@ -45,9 +44,6 @@ PLACES_FIRST, PLACES = 0.4, 4
 
 NEAR = 0.02
 """World units: a distance is learned to a share of itself and this, so that far points do not outweigh near ones."""
-
-WARMUP, LAST_RATE = 100, 0.02
-"""Steps of linear warm-up, and the share of the learning rate at which the cosine ends."""
 
 CHECKED, CHECK_SEED = 16, 7919
 """People never learned from on whom the result is measured, and the seed that draws them."""
@@ -108,11 +104,18 @@ def hold_distances(
 
 
 def draw_points(
-    field: TwoStreamField, options: DistanceOptions, count: int, seed: int, progress: Progress = silent
+    field: TwoStreamField, trained: tuple[float, float], count: int, seed: int, progress: Progress = silent
 ) -> dict[str, SurfacePoints]:
     """Points about the surfaces of people drawn from the bundled head model, by part.
 
     Points about eyes that turn rigidly are those of eyes that look straight ahead.
+
+    Args:
+        field: Whose codes and eyes are meant.
+        trained: Largest |pitch| and |yaw| of their gazes, degrees.
+        count: How many people.
+        seed: Draws them.
+        progress: Told about people.
 
     Raises:
         UserError: the field takes other codes than the head model.
@@ -129,7 +132,7 @@ def draw_points(
 
     def person(number: int) -> list[SurfacePoints]:
         rng = np.random.default_rng((seed, number))
-        codes, gaze = draw_person(rng, model, options.trained)
+        codes, gaze = draw_person(rng, model, trained)
         mesh = model.mesh(codes, gaze)
         of_eyes = mesh if config.sees_gaze("eyes") else model.mesh(codes, Gaze())
         return [points_of(one, template, part, codes, gaze, rng) for one, part in ((mesh, "face"), (of_eyes, "eyes"))]
@@ -187,23 +190,25 @@ def learn_distances(
     device = next(field.parameters()).device
     step = 0 if state is None else int(state["step"])
     if step < options.steps:
-        points = draw_points(field, options, options.people, options.seed, progress)
+        points = draw_points(field, options.trained, options.people, options.seed, progress)
         for part, balls in first_balls(points).items():
             networks[part].set_balls(balls)
         learned = _Learning(networks, {part: some.to(device) for part, some in points.items()}, field, options)
         if state is not None:
-            learned.load(state, out)
+            learned.load(state, out / STATE)
             forget_after(out / LOG, learned.step)
+        started = time.monotonic()
         while learned.step < options.steps:
-            row = learned.advance()
-            progress(f"geometry, loss {row['loss']:.4f}", learned.step, options.steps)
+            loss = learned.advance()
+            progress(f"geometry, loss {loss:.4f}", learned.step, options.steps)
             if write and (learned.step % save_every == 0 or learned.step == options.steps):
-                append_row(out / LOG, row)
-                learned.save(out)
+                seconds = round(time.monotonic() - started, 1)
+                append_row(out / LOG, {"step": learned.step, "seconds": seconds, "loss": loss})
+                learned.save(out / STATE)
     elif state is not None:
         for part, network in networks.items():
             network.load_state_dict(state["networks"][part])
-    unseen = draw_points(field, options, CHECKED, CHECK_SEED)
+    unseen = draw_points(field, options.trained, CHECKED, CHECK_SEED)
     return {part: measure_distances(field, part, unseen[part].to(device)) for part in PARTS}
 
 
@@ -214,12 +219,11 @@ def distance_network(field: TwoStreamField, part: str) -> DistanceNetwork:
     return network
 
 
-class _Learning:
-    """Distance networks on their way.
+class _Learning(PointLearning):
+    """Distance networks on their way."""
 
-    Attributes:
-        step: Steps done.
-    """
+    what, setting, warmup = "distances", "geometry_learning_rate", 100
+    misfit = "give the settings it has"
 
     def __init__(
         self,
@@ -228,30 +232,13 @@ class _Learning:
         field: TwoStreamField,
         options: DistanceOptions,
     ) -> None:
-        self._networks, self._points, self._field, self._options = networks, points, field, options
-        self._parameters = [value for network in networks.values() for value in network.parameters()]
-        self._optimizer = torch.optim.Adam(self._parameters, lr=options.learning_rate)
-        self.step = 0
-        self._started = time.monotonic()
+        parameters = [value for network in networks.values() for value in network.parameters()]
+        super().__init__(networks, parameters, options.steps, options.learning_rate, options.seed)
+        self._distances, self._points, self._field = networks, points, field
 
-    def advance(self) -> dict[str, float]:
-        """One step; its number, seconds and loss."""
-        options = self._options
-        generator = torch.Generator().manual_seed(options.seed * 1_000_003 + self.step)
-        for group in self._optimizer.param_groups:
-            group["lr"] = options.learning_rate * _rate(self.step, options.steps)
-        loss = torch.stack([self._loss(part, generator) for part in PARTS]).sum()
-        self._optimizer.zero_grad()
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(self._parameters, 1.0)
-        self._optimizer.step()
-        self.step += 1
-        value = float(loss.detach())
-        if not math.isfinite(value):
-            raise UserError(
-                f"the loss of the distances is not finite at step {self.step}; lower geometry_learning_rate"
-            )
-        return {"step": self.step, "seconds": round(time.monotonic() - self._started, 1), "loss": value}
+    def loss(self, generator: torch.Generator) -> torch.Tensor:
+        """Of both parts."""
+        return torch.stack([self._loss(part, generator) for part in PARTS]).sum()
 
     def _loss(self, part: str, generator: torch.Generator) -> torch.Tensor:
         all_points = self._points[part]
@@ -261,9 +248,9 @@ class _Learning:
             return torch.randint(most, (count,), generator=generator).to(device)
 
         people = drawn(len(all_points), PEOPLE)
-        network = self._networks[part]
+        network = self._distances[part]
         condition = network.condition(all_points.shape_code[people], self._field.label(all_points.gaze[people]))
-        if self.step < PLACES_FIRST * self._options.steps:
+        if self.step < PLACES_FIRST * self._steps:
             on = drawn(all_points.surface.shape[1], PLACES * ON[part])
             return PLACE * _apart(
                 network.places(all_points.surface[people][:, on], condition), all_points.places[people][:, on]
@@ -285,41 +272,10 @@ class _Learning:
             + PLACE * _apart(places[:, :count], all_points.places[people][:, on])
         )
 
-    def save(self, out: Path) -> None:
-        """Write the state to resume from."""
-        state = {
-            "networks": {part: network.state_dict() for part, network in self._networks.items()},
-            "optimizer": self._optimizer.state_dict(),
-            "step": self.step,
-        }
-        with whole_file(out / STATE) as temporary:
-            torch.save(state, temporary)
-
-    def load(self, state: dict, out: Path) -> None:
-        """Go on from what `save` wrote.
-
-        Raises:
-            UserError: it is of other networks.
-        """
-        try:
-            for part, network in self._networks.items():
-                network.load_state_dict(state["networks"][part])
-            self._optimizer.load_state_dict(state["optimizer"])
-        except (KeyError, ValueError, RuntimeError) as error:
-            reason = " ".join(str(error).split())[:200]
-            raise UserError(f"cannot resume from {out / STATE} ({reason}); give the settings it has") from error
-        self.step = int(state["step"])
-
 
 def _apart(found: torch.Tensor, known: torch.Tensor) -> torch.Tensor:
     """Mean distance of points (..., 3)."""
     return (found - known).norm(dim=-1).mean()
-
-
-def _rate(step: int, steps: int) -> float:
-    """Share of the learning rate at a step: linear warm-up, then a cosine."""
-    fallen = 0.5 * (1.0 + math.cos(math.pi * step / max(1, steps)))
-    return min(1.0, (step + 1) / WARMUP) * (LAST_RATE + (1.0 - LAST_RATE) * fallen)
 
 
 def measure_distances(field: TwoStreamField, part: str, points: SurfacePoints) -> dict[str, float]:

@@ -8,7 +8,6 @@ the new features are to be what the old ones are there. No picture is looked at.
 from __future__ import annotations
 
 import copy
-import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,9 +16,9 @@ import torch
 from gazenerf.data.surface_points import SurfacePoints
 from gazenerf.errors import UserError
 from gazenerf.field.model import TwoStreamField
-from gazenerf.files import whole_file
 from gazenerf.progress import Progress, silent
-from gazenerf.training.distances import PARTS, DistanceOptions, draw_points
+from gazenerf.training.distances import PARTS, draw_points
+from gazenerf.training.point_learning import PointLearning
 from gazenerf.training.record import read_state
 
 STATE = "features.pt"
@@ -35,9 +34,6 @@ CHECKED, CHECK_SEED, CHECK_POINTS = 16, 7919, 800
 
 ABSOLUTE = 0.3
 """Weight of the mean absolute difference beside the mean squared one, both in each channel's own spread."""
-
-WARMUP, LAST_RATE = 50, 0.02
-"""Steps of linear warm-up, and the share of the learning rate at which the cosine ends."""
 
 
 @dataclass(frozen=True)
@@ -88,21 +84,20 @@ def move_features(
     limits = field.config.trained_gaze_range
     if field.config.geometry != "distance" or field.config.features_at != "points" or limits is None:
         raise UserError("a field of distances with features at points, which knows its trained gaze range, is needed")
-    drawn = DistanceOptions(options.steps, options.people, options.learning_rate, limits, options.seed)
     device = next(field.parameters()).device
 
     def people(count: int, seed: int) -> dict[str, SurfacePoints]:
-        return {part: some.to(device) for part, some in draw_points(field, drawn, count, seed, progress).items()}
+        return {part: some.to(device) for part, some in draw_points(field, limits, count, seed, progress).items()}
 
     unseen = people(CHECKED, CHECK_SEED)
     moving = _Moving(field, on_template(field), people(options.people, options.seed), unseen, options)
     if resume and (out / STATE).is_file():
-        moving.load(out)
+        moving.load(read_state(out / STATE), out / STATE)
     while moving.step < options.steps:
         loss = moving.advance()
         progress(f"features, loss {loss:.4f}", moving.step, options.steps)
         if moving.step % save_every == 0 or moving.step == options.steps:
-            moving.save(out)
+            moving.save(out / STATE)
     return moving.moved, {part: moving.difference(part, unseen[part]) for part in PARTS}
 
 
@@ -115,13 +110,15 @@ def on_template(field: TwoStreamField) -> TwoStreamField:
     return moved.eval()
 
 
-class _Moving:
+class _Moving(PointLearning):
     """Features on their way.
 
     Attributes:
         moved: The field that learns them.
-        step: Steps done.
     """
+
+    what, setting, warmup = "features", "the learning rate", 50
+    misfit = "it is of another field"
 
     def __init__(
         self,
@@ -131,22 +128,23 @@ class _Moving:
         unseen: dict[str, SurfacePoints],
         options: FeatureOptions,
     ) -> None:
-        self._field, self.moved, self._people, self._options = field, moved, people, options
-        self.step = 0
         moved.requires_grad_(False)
         named = [item for part in PARTS for item in moved.stream(part).named_parameters()]
-        self._parameters = [value.requires_grad_() for name, value in named if not name.startswith("distance.")]
-        self._optimizer = torch.optim.Adam(self._parameters, lr=options.learning_rate)
+        learned = [value for name, value in named if not name.startswith("distance.")]
+        for value in learned:
+            value.requires_grad_()
+        super().__init__({"field": moved}, learned, options.steps, options.learning_rate, options.seed)
+        self._field, self.moved, self._people = field, moved, people
         self._spread: dict[str, torch.Tensor] = {}
         for part, some in unseen.items():
-            which = torch.arange(len(some), device=some.surface.device)
-            known = self._features(
-                field, part, some, which, self._points(some, which, CHECK_POINTS, self._generator(0))
-            )
+            which, points = self._checked(some)
+            known = self._features(field, part, some, which, points)
             self._spread[part] = known.detach().flatten(0, 1).std(0).clamp(min=1e-3)
 
-    def _generator(self, step: int) -> torch.Generator:
-        return torch.Generator().manual_seed(self._options.seed * 1_000_003 + step)
+    def _checked(self, some: SurfacePoints) -> tuple[torch.Tensor, torch.Tensor]:
+        """All of some people (P,), and the points (P, N, 3) about them at which features are compared."""
+        people = torch.arange(len(some), device=some.surface.device)
+        return people, self._points(some, people, CHECK_POINTS, self.generator(0))
 
     @staticmethod
     def _points(some: SurfacePoints, people: torch.Tensor, count: int, generator: torch.Generator) -> torch.Tensor:
@@ -172,53 +170,16 @@ class _Moving:
             wanted = self._features(self._field, part, some, people, points)
         return (self._features(self.moved, part, some, people, points) - wanted) / self._spread[part]
 
-    def advance(self) -> float:
-        """One step; its loss."""
-        options, generator = self._options, self._generator(self.step)
-        fallen = 0.5 * (1.0 + math.cos(math.pi * self.step / max(1, options.steps)))
-        rate = min(1.0, (self.step + 1) / WARMUP) * (LAST_RATE + (1.0 - LAST_RATE) * fallen)
-        for group in self._optimizer.param_groups:
-            group["lr"] = options.learning_rate * rate
+    def loss(self, generator: torch.Generator) -> torch.Tensor:
+        """Of both parts."""
         terms = []
         for part, some in self._people.items():
             people = torch.randint(len(some), (PEOPLE,), generator=generator).to(some.surface.device)
             off = self._off(part, some, people, self._points(some, people, POINTS[part], generator))
             terms.append(off.square().mean() + ABSOLUTE * off.abs().mean())
-        loss = torch.stack(terms).sum()
-        self._optimizer.zero_grad()
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(self._parameters, 1.0)
-        self._optimizer.step()
-        self.step += 1
-        value = float(loss.detach())
-        if not math.isfinite(value):
-            raise UserError(f"the loss of the features is not finite at step {self.step}; lower the learning rate")
-        return value
+        return torch.stack(terms).sum()
 
     @torch.no_grad()
     def difference(self, part: str, some: SurfacePoints) -> float:
         """Root mean square of `_off` on all of some people."""
-        people = torch.arange(len(some), device=some.surface.device)
-        points = self._points(some, people, CHECK_POINTS, self._generator(0))
-        return float(self._off(part, some, people, points).square().mean().sqrt())
-
-    def save(self, out: Path) -> None:
-        """Write the state to resume from."""
-        state = {"field": self.moved.state_dict(), "optimizer": self._optimizer.state_dict(), "step": self.step}
-        with whole_file(out / STATE) as temporary:
-            torch.save(state, temporary)
-
-    def load(self, out: Path) -> None:
-        """Go on from what `save` wrote.
-
-        Raises:
-            UserError: it is of another field.
-        """
-        state = read_state(out / STATE)
-        try:
-            self.moved.load_state_dict(state["field"])
-            self._optimizer.load_state_dict(state["optimizer"])
-        except (KeyError, ValueError, RuntimeError) as error:
-            reason = " ".join(str(error).split())[:200]
-            raise UserError(f"cannot resume from {out / STATE} ({reason}); it is of another field") from error
-        self.step = int(state["step"])
+        return float(self._off(part, some, *self._checked(some)).square().mean().sqrt())

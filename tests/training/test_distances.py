@@ -44,7 +44,8 @@ def few_people_are_checked(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_surfaces_come_nearer_to_peoples(tmp_path: Path) -> None:
     field = fresh_field()
-    points = draw_points(field, OPTIONS, 2, OPTIONS.seed)  # those that are learned from: two say nothing of others
+    # those that are learned from: two say nothing of others
+    points = draw_points(field, OPTIONS.trained, 2, OPTIONS.seed)
     before = {part: measure_distances(field, part, points[part]) for part in points}
     found = learn_distances(field, OPTIONS, tmp_path, save_every=40)
     after = {part: measure_distances(field, part, points[part]) for part in points}
@@ -85,8 +86,8 @@ def test_a_killed_run_goes_on_to_the_same_distances(tmp_path: Path) -> None:
 
 def test_rigid_eyes_are_learned_looking_straight_ahead() -> None:
     torch.manual_seed(0)
-    turned = draw_points(fresh_field(), OPTIONS, 2, 5)["eyes"]
-    rigid = draw_points(TwoStreamField(replace(FIELD, eye_motion="rigid")), OPTIONS, 2, 5)["eyes"]
+    turned = draw_points(fresh_field(), OPTIONS.trained, 2, 5)["eyes"]
+    rigid = draw_points(TwoStreamField(replace(FIELD, eye_motion="rigid")), OPTIONS.trained, 2, 5)["eyes"]
     iris = [points.surface[0][points.surface[0, :, 0] > 0][:, 2].max() for points in (turned, rigid)]
     assert rigid.gaze[0].abs().max() > 0.05 and iris[1] > iris[0]  # the cornea bulges forward where the eye looks
 

@@ -10,7 +10,6 @@ import numpy as np
 from gazenerf.errors import UserError
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model import HeadMesh, ReferenceHead
-from gazenerf.head_model.shading import shade
 from gazenerf.subjects import Subject
 from gazenerf.viz.pictures.panels import ReferenceRenderer
 
@@ -41,7 +40,6 @@ def head_pictures(subject: Subject, size: tuple[int, int]) -> Iterator[Reference
             if gaze not in posed:
                 posed.clear()
                 posed[gaze] = reference.at(gaze)
-            mesh = posed[gaze]
-            return rasterizer.render(mesh, shade(mesh, reference.illumination, camera.position), camera).image
+            return rasterizer.render_lit(posed[gaze], reference.illumination, camera).image
 
         yield draw

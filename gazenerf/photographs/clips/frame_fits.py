@@ -73,7 +73,9 @@ class FrameFitter:
         assert codes is not None
         self._person, self._model, self._table, self._codes = person, model, table, codes
         self._identity = codes.identity.astype(np.float64)
-        self._centres = np.asarray(model.eye_centres(self._identity), np.float64)
+        centres = np.asarray(model.eye_centres(self._identity), np.float64) + person.eye_offsets
+        radius = model.skin_points(table.vertices[:1]).radius
+        self._eyes = [Eyeball(centre, radius) for centre in centres]
         self._last: ShapeFit | None = None
 
     def fit(self, frame: np.ndarray, points: np.ndarray, shut: bool) -> FrameFits:
@@ -108,14 +110,12 @@ class FrameFitter:
 
     def _irises(self, frame: np.ndarray, landmarks: FaceLandmarks, camera: Camera, codes: Codes, gaze: Gaze):
         mesh = self._model.mesh(codes, gaze)
-        centres = self._centres + self._person.eye_offsets
+        centres = np.stack([eye.centre for eye in self._eyes])
         return find_irises(frame, landmarks, camera, centres, mesh.eye_radius, mesh)
 
     def _gaze(self, irises: np.ndarray, camera: Camera, reach: float, otherwise: Gaze) -> Gaze:
         """The mean direction of the eyes whose irises are seen."""
-        radius = self._model.skin_points(self._table.vertices[:1]).radius
-        centres = self._centres + self._person.eye_offsets
-        told = [Eyeball(c, radius).towards(i, camera, reach) for c, i in zip(centres, irises, strict=True)]
+        told = [eye.towards(iris, camera, reach) for eye, iris in zip(self._eyes, irises, strict=True)]
         seen = [gaze.vector() for gaze in told if gaze is not None]
         return Gaze.from_vector(np.mean(seen, axis=0)) if seen else otherwise
 
