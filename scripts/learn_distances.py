@@ -5,7 +5,7 @@
 Distances are learned from points of the head model's people, no pictures are looked at. It writes
 `field.safetensors` to the folder, and beside it `distances.pt`, from which `--resume` goes on. The features were
 learned on the field's own surfaces, which lie elsewhere by fractions of a millimetre to several: let them settle
-with `gazenerf train --from out/distances/field.safetensors`.
+with `gazenerf train --from out/distances/field.safetensors`. A field that has distances already learns them further.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ SIZES = ("distance_width", "distance_frequencies", "distance_template", "surface
 def main() -> None:
     """See the module."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--checkpoint", type=Path, default=BUNDLED, help="a field of densities (default: bundled)")
+    parser.add_argument("--checkpoint", type=Path, default=BUNDLED, help="a field (default: bundled)")
     parser.add_argument("--out", type=Path, required=True, help="folder of the run")
     parser.add_argument("--steps", type=int, default=8000)
     parser.add_argument("--people", type=int, default=500)
@@ -37,18 +37,20 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--resume", action="store_true", help="go on from the folder's distances.pt")
     arguments = parser.parse_args()
-    densities = load_field(arguments.checkpoint)
-    limits = densities.config.trained_gaze_range
-    if densities.config.geometry != "density" or limits is None:
-        raise UserError("a field of geometry density that knows its trained gaze range is needed")
-    sizes = {name: getattr(FieldConfig(), name) for name in SIZES}
-    field = starting_field(replace(densities.config, geometry="distance", **sizes), densities)
-    options = DistanceOptions(arguments.steps, arguments.people, arguments.learning_rate, limits, arguments.seed)
+    field = load_field(arguments.checkpoint)
+    about, limits, further = field.about, field.config.trained_gaze_range, field.config.geometry == "distance"
+    if limits is None:
+        raise UserError("a field that knows its trained gaze range is needed")
+    if not further:
+        sizes = {name: getattr(FieldConfig(), name) for name in SIZES}
+        field = starting_field(replace(field.config, geometry="distance", **sizes), field)
+    rate = arguments.learning_rate
+    options = DistanceOptions(arguments.steps, arguments.people, rate, limits, arguments.seed, further)
     arguments.out.mkdir(parents=True, exist_ok=True)
     with showing_progress() as progress:
         measured = learn_distances(field, options, arguments.out, resume=arguments.resume, progress=progress)
-    known = {"steps": options.steps, "people": options.people, "unseen_people": measured}
-    field.about = {**densities.about, "geometry": known}
+    steps = options.steps + (about.get("geometry", {}).get("steps", 0) if further else 0)
+    field.about = {**about, "geometry": {"steps": steps, "people": options.people, "unseen_people": measured}}
     save_field(field, arguments.out / "field.safetensors")
     print(f"wrote {arguments.out / 'field.safetensors'}: {measured}")
 

@@ -27,8 +27,18 @@ DEVIATIONS = (0.02, 0.08)
 HIDDEN, HIDDEN_SHARE = 0.25, 0.05
 """Skin that sees less than this share of its surroundings (mouth, sockets) is sampled so much more rarely."""
 
+LIDS_HIDDEN = 0.3
+"""The same of the lids' inner sides, which decide how thick a lid is."""
+
 FRONT, FRONT_SHARE = (-1.3, 0.3), 3.0
 """Skin above this y and before this z, the face, is sampled so much more densely."""
+
+LID_REACH, LIDS_SHARE = 1.3, 8.0
+"""Skin within so many radii of an eyeball's centre and ahead of it, the lids, is sampled so much more densely."""
+
+OPENINGS, LID_DEVIATIONS, AHEAD = 800, (0.005, 0.02), 0.06
+"""More points about the face, so many each: near lids, with these standard deviations, and up to this far ahead of the
+eyeballs, world units. A lid half a millimetre thick too much, or a distance too small between lids, covers the eye."""
 
 BY_TRIANGLE = 0.5
 """Share of the points that are spread over triangles whatever their size: these are dense on ears, lips and lids."""
@@ -91,6 +101,26 @@ def template_of(model: ParametricHead) -> HeadMesh:
     return model.mesh(Codes(*(np.zeros(size, np.float32) for size in model.code_sizes)), Gaze())
 
 
+def lid_vertices(template: HeadMesh) -> np.ndarray:
+    """(V,) bool, the skin around the eyes of the template."""
+    around = np.zeros(len(template.vertices), bool)
+    for centre, radius in _eyeballs(template):
+        away = template.vertices - centre
+        around |= (np.linalg.norm(away, axis=1) < LID_REACH * radius) & (away[:, 2] > 0.3 * radius)
+    around[np.unique(template.faces[template.face_part != FACE])] = False
+    return around
+
+
+def _eyeballs(mesh: HeadMesh) -> list[tuple[np.ndarray, float]]:
+    """Centre and radius of both, world units."""
+    found = []
+    for part in np.unique(mesh.face_part[mesh.face_part != FACE]):
+        vertices = mesh.vertices[np.unique(mesh.faces[mesh.face_part == part])]
+        centre = 0.5 * (vertices.min(0) + vertices.max(0))
+        found.append((centre, float(np.median(np.linalg.norm(vertices - centre, axis=1)))))
+    return found
+
+
 def points_of(
     mesh: HeadMesh, template: HeadMesh, part: str, codes: Codes, gaze: Gaze, rng: np.random.Generator
 ) -> SurfacePoints:
@@ -104,7 +134,8 @@ def points_of(
         rng: Draws the points.
     """
     faces = mesh.faces[(mesh.face_part == FACE) == (part == "face")]
-    corners, weights = _on_surface(mesh, faces, part, rng)
+    lids = lid_vertices(template)
+    corners, weights = _on_surface(mesh, faces, part, lids, rng)
     surface, normals, places = (
         (values[corners] * weights).sum(1) for values in (mesh.vertices, mesh.normals, template.vertices)
     )
@@ -113,15 +144,31 @@ def points_of(
     near = surface[rng.integers(len(surface), size=NEAR)] + spread * rng.standard_normal((NEAR, 3))
     used = mesh.vertices[np.unique(faces)]
     anywhere = rng.uniform(used.min(0) - MARGIN, used.max(0) + MARGIN, (ANYWHERE, 3))
-    points = np.concatenate([near, anywhere]).astype(np.float32)
+    about = [near, anywhere]
+    if part == "face":
+        about += _about_openings(mesh, surface[lids[corners].all(1)], rng)
+    points = np.concatenate(about).astype(np.float32)
     label = np.array([gaze.pitch, gaze.yaw], np.float32)
     distance = signed_distance(mesh.vertices, faces, points)
     arrays = codes.shape_code, codes.appearance_code, label, surface, normals, places, points, distance
     return SurfacePoints(*(torch.from_numpy(np.asarray(value, np.float32))[None] for value in arrays))
 
 
+def _about_openings(mesh: HeadMesh, lids: np.ndarray, rng: np.random.Generator) -> list[np.ndarray]:
+    """Points near some on the lids (K, 3), and points ahead of the eyeballs: (`OPENINGS`, 3) each."""
+    spread = np.where(np.arange(OPENINGS) % 2 == 0, *LID_DEVIATIONS)[:, None]
+    near = lids[rng.integers(len(lids), size=OPENINGS)] + spread * rng.standard_normal((OPENINGS, 3))
+    balls = _eyeballs(mesh)
+    which = rng.integers(len(balls), size=OPENINGS)
+    centres, radii = np.array([ball[0] for ball in balls])[which], np.array([ball[1] for ball in balls])[which]
+    directions = rng.standard_normal((OPENINGS, 3))
+    directions[:, 2] = np.abs(directions[:, 2]) + 0.3
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return [near, centres + (radii + AHEAD * rng.random(OPENINGS))[:, None] * directions]
+
+
 def _on_surface(
-    mesh: HeadMesh, faces: np.ndarray, part: str, rng: np.random.Generator
+    mesh: HeadMesh, faces: np.ndarray, part: str, lids: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """(S, 3) corners of triangles, indices of vertices, and (S, 3, 1) weights of the points drawn on them."""
     a, b, c = (mesh.vertices[faces[:, i]].astype(np.float64) for i in range(3))
@@ -131,6 +178,7 @@ def _on_surface(
         area = area * np.where((a[:, 1] > FRONT[0]) & (a[:, 2] > FRONT[1]), FRONT_SHARE, 1.0)
         if mesh.occlusion is not None:
             often = np.where(mesh.occlusion[faces].mean(1) < HIDDEN, HIDDEN_SHARE, 1.0)
+        often = np.where(lids[faces].all(1), LIDS_SHARE * np.maximum(often, LIDS_HIDDEN), often)
     by_area, by_triangle = area * often, often
     share = (1.0 - BY_TRIANGLE) * by_area / by_area.sum() + BY_TRIANGLE * by_triangle / by_triangle.sum()
     chosen = rng.choice(len(faces), SURFACE, p=share)

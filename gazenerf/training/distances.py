@@ -59,6 +59,7 @@ class DistanceOptions:
         learning_rate: Peak learning rate of Adam.
         trained: Largest |pitch| and |yaw| of their gazes, degrees.
         seed: Seeds people and steps.
+        further: The field knows distances already, which are learned further.
     """
 
     steps: int
@@ -66,6 +67,7 @@ class DistanceOptions:
     learning_rate: float
     trained: tuple[float, float]
     seed: int = 1
+    further: bool = False
 
 
 def hold_distances(
@@ -185,14 +187,15 @@ def learn_distances(
     Raises:
         UserError: the field takes other codes than the head model, or a state that does not fit.
     """
-    networks = {part: distance_network(field, part) for part in PARTS}
+    networks = {part: distance_network(field, part).requires_grad_(True) for part in PARTS}
     state = read_state(out / STATE) if resume and (out / STATE).is_file() else None
     device = next(field.parameters()).device
     step = 0 if state is None else int(state["step"])
     if step < options.steps:
         points = draw_points(field, options.trained, options.people, options.seed, progress)
-        for part, balls in first_balls(points).items():
-            networks[part].set_balls(balls)
+        if not options.further:
+            for part, balls in first_balls(points).items():
+                networks[part].set_balls(balls)
         learned = _Learning(networks, {part: some.to(device) for part, some in points.items()}, field, options)
         if state is not None:
             learned.load(state, out / STATE)
@@ -235,6 +238,7 @@ class _Learning(PointLearning):
         parameters = [value for network in networks.values() for value in network.parameters()]
         super().__init__(networks, parameters, options.steps, options.learning_rate, options.seed)
         self._distances, self._points, self._field = networks, points, field
+        self._places_first = 0.0 if options.further else PLACES_FIRST * options.steps
 
     def loss(self, generator: torch.Generator) -> torch.Tensor:
         """Of both parts."""
@@ -250,7 +254,7 @@ class _Learning(PointLearning):
         people = drawn(len(all_points), PEOPLE)
         network = self._distances[part]
         condition = network.condition(all_points.shape_code[people], self._field.label(all_points.gaze[people]))
-        if self.step < PLACES_FIRST * self._steps:
+        if self.step < self._places_first:
             on = drawn(all_points.surface.shape[1], PLACES * ON[part])
             return PLACE * _apart(
                 network.places(all_points.surface[people][:, on], condition), all_points.places[people][:, on]

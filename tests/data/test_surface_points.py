@@ -7,10 +7,14 @@ import pytest
 import torch
 
 from gazenerf.data.surface_points import (
+    AHEAD,
+    ANYWHERE,
     NEAR,
+    OPENINGS,
     SURFACE,
     SurfacePoints,
     draw_person,
+    lid_vertices,
     points_of,
     signed_distance,
     template_of,
@@ -45,7 +49,7 @@ def test_points_lie_where_their_distances_say(person: tuple[HeadMesh, dict[str, 
         assert np.median(off) == pytest.approx(step, rel=0.05) and np.mean(np.sign(off) == np.sign(step)) > 0.97
     distance = points.distance[0].numpy()
     assert 0.25 < (distance[:NEAR] < 0).mean() < 0.6
-    assert distance[NEAR:].max() > 0.2
+    assert distance[NEAR : NEAR + ANYWHERE].max() > 0.2
 
 
 def test_the_mouth_and_sockets_are_sampled_rarely(person: tuple[HeadMesh, dict[str, SurfacePoints]]) -> None:
@@ -53,6 +57,21 @@ def test_the_mouth_and_sockets_are_sampled_rarely(person: tuple[HeadMesh, dict[s
     assert mesh.occlusion is not None
     nearest = ((points["face"].surface[0, :400, None].numpy() - mesh.vertices[None, ::7]) ** 2).sum(-1).argmin(1)
     assert np.mean(mesh.occlusion[::7][nearest] < 0.2) < 0.05
+
+
+def test_lids_and_what_is_between_them_are_sampled_densely(person: tuple[HeadMesh, dict[str, SurfacePoints]]) -> None:
+    mesh, points = person
+    model = load_head_model()
+    template = template_of(model)
+    lids = lid_vertices(template)
+    assert 0.02 < lids.mean() < 0.2 and (template.vertices[lids][:, 2] > 0.7).all()
+    places = points["face"].places[0].numpy()
+    nearest = ((places[::6, None] - template.vertices[None]) ** 2).sum(-1).argmin(1)
+    assert 0.15 < lids[nearest].mean() < 0.5
+    eyes = np.unique(mesh.faces[mesh.face_part != FACE])
+    ahead = points["face"].points[0, -OPENINGS:].numpy()
+    away = np.sqrt(((ahead[:, None] - mesh.vertices[eyes][None]) ** 2).sum(-1).min(1))
+    assert away.max() < AHEAD + 0.02 and (points["face"].distance[0, -OPENINGS:] > 0.01).float().mean() > 0.1
 
 
 def test_people_are_joined_and_look_within_the_range() -> None:

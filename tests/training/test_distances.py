@@ -47,16 +47,31 @@ def test_surfaces_come_nearer_to_peoples(tmp_path: Path) -> None:
     # those that are learned from: two say nothing of others
     points = draw_points(field, OPTIONS.trained, 2, OPTIONS.seed)
     before = {part: measure_distances(field, part, points[part]) for part in points}
-    found = learn_distances(field, OPTIONS, tmp_path, save_every=40)
+    found = learn_distances(field, replace(OPTIONS, steps=300), tmp_path, save_every=100)
     after = {part: measure_distances(field, part, points[part]) for part in points}
     for part, most in (("face", 7.0), ("eyes", 0.8)):
         assert after[part]["median_mm"] < min(most, 0.6 * before[part]["median_mm"]), part
         assert after[part]["normals_deg"] < before[part]["normals_deg"], part
     assert after["face"]["places_mm"] < 0.9 * before["face"]["places_mm"]
-    assert found["eyes"]["median_mm"] < 2.5 and found["face"]["normals_deg"] < 40.0
+    assert found["eyes"]["median_mm"] < 2.5 and found["face"]["normals_deg"] < 50.0
     rows = [json.loads(line) for line in (tmp_path / "distances.jsonl").read_text().splitlines()]
-    # places alone are learned for the first 48 steps
-    assert [row["step"] for row in rows] == [40, 80, 120] and rows[2]["loss"] < rows[1]["loss"]
+    # places alone are learned for the first 120 steps
+    assert [row["step"] for row in rows] == [100, 200, 300] and rows[2]["loss"] < rows[1]["loss"]
+
+
+def test_known_distances_are_learned_further_from_where_they_are(tmp_path: Path) -> None:
+    field = fresh_field()
+    learn_distances(field, OPTIONS, tmp_path / "first", save_every=200)
+    balls = {part: distances_module.distance_network(field, part).balls.clone() for part in distances_module.PARTS}
+    further = replace(OPTIONS, steps=1, learning_rate=1e-9, seed=2, further=True)
+    before = {name: value.clone() for name, value in field.state_dict().items()}
+    field.requires_grad_(False)  # as a field is that was read from a file
+    learn_distances(field, further, tmp_path / "second")
+    for name, value in field.state_dict().items():
+        torch.testing.assert_close(value, before[name], atol=1e-7, rtol=0.0)
+    for part, ball in balls.items():
+        assert torch.equal(distances_module.distance_network(field, part).balls, ball)
+        assert distances_module.distance_network(field, part).last.weight.requires_grad
 
 
 def test_a_killed_run_goes_on_to_the_same_distances(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from gazenerf.training import distances
 SCRIPT = Path(__file__).parents[2] / "scripts" / "learn_distances.py"
 
 
-def test_features_stay_and_a_field_of_distances_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_features_stay_and_known_distances_are_learned_further(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(distances, "CHECKED", 1)
     main = runpy.run_path(str(SCRIPT))["main"]
 
@@ -40,6 +40,12 @@ def test_features_stay_and_a_field_of_distances_is_refused(tmp_path: Path, monke
     for name, value in before.state_dict().items():
         if ".density." not in name:
             torch.testing.assert_close(found.state_dict()[name], value)
-    with pytest.raises(UserError, match="a field of geometry density"):
-        learn(tmp_path / "again", tmp_path / "run" / "field.safetensors")
-    assert not (tmp_path / "again").exists()
+    learn(tmp_path / "again", tmp_path / "run" / "field.safetensors")
+    again = load_field(tmp_path / "again" / "field.safetensors")
+    assert again.about["geometry"]["steps"] == 8 and again.config == found.config
+    moved = [name for name, value in found.state_dict().items() if not torch.equal(value, again.state_dict()[name])]
+    assert moved and all(".distance." in name for name in moved)
+    save_field(TwoStreamField(replace(PRESETS["tiny"], **sizes)), tmp_path / "range.safetensors")
+    with pytest.raises(UserError, match="trained gaze range"):
+        learn(tmp_path / "none", tmp_path / "range.safetensors")
+    assert not (tmp_path / "none").exists()
