@@ -2,7 +2,7 @@
 # Rebuild the bundled field `portrait-sdf` on a CPU: distances from points of the head model's people, the colours of
 # `portrait` settle on them, move to places on the template and settle again, half-precision weights, quality.
 #   scripts/train_portrait_sdf.sh FOLDER [--minutes 45] [more arguments of `gazenerf train`]
-# --minutes is the time in which the colours settle the second time. Distances take half an hour to an hour of one core,
+# --minutes is the time in which the colours settle the second time. Distances take an hour to two of one core,
 # the first settling 19 minutes, the move 15, captures two. Persons 12 and 13 of the first 40 are left out of the
 # pictures: the bundled subjects mia and noa are to stay strangers.
 # What was made before is kept, and a run that was stopped goes on.
@@ -30,7 +30,7 @@ settle() { # folder of the run, field to begin with, field settings as JSON, mor
 		--held-out 0 --set "field_overrides=$field" "${settings[@]}" "$@"
 }
 
-"$python" "$scripts/learn_distances.py" --out "$folder/distances" --steps 9000 --people 500 --resume
+"$python" "$scripts/learn_distances.py" --out "$folder/distances" --steps 20000 --people 500 --resume
 "${gazenerf[@]}" synthesize --out "$folder/people" --people 40 --views 4 --size 512 --seed 1 --expressions few
 "${gazenerf[@]}" synthesize --out "$folder/others" --people 40 --views 4 --size 512 --seed 2 --expressions few
 "$python" "$scripts/join_captures.py" --base "$folder/people" --others "$folder/others" --held-out 12 13 \
