@@ -12,104 +12,23 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import cv2
 import numpy as np
+from PIL import Image
 
+from benchmarks.true_pictures import TruePicture, distorted, drawn, true_pictures
 from gazenerf.data.rasterizer import Rasterizer
-from gazenerf.geometry import Camera, Gaze
-from gazenerf.head_model import ParametricHead, load_head_model
-from gazenerf.head_model.interface import HeadMesh
-from gazenerf.head_model.sampling import sample_person
-from gazenerf.subjects import Codes
+from gazenerf.head_model import load_head_model
 
-MM = 100.0
-"""Millimetres in a world unit."""
+Truth = dict[str, list[TruePicture]]
+"""Subject to pictures, in the order of the data set."""
 
-GAZE_DEGREES, TURN_DEGREES = (18.0, 25.0), (12.0, 25.0)
-"""Pitch and yaw, to each side."""
-
-TARGET_MM = 500.0
-
-
-@dataclass(frozen=True)
-class TruePicture:
-    """One photograph of a person that does not exist, with everything known about it.
-
-    Attributes:
-        codes, gaze, mesh: The person; head frame.
-        camera: Of the photograph.
-    """
-
-    codes: Codes
-    gaze: Gaze
-    mesh: HeadMesh
-    camera: Camera
-
-    @property
-    def rotation(self) -> np.ndarray:
-        """(3, 3) head pose as data sets have it: head axes x to the subject's left, y down, z out of the back."""
-        return self.camera.camera_from_world[:3, :3] @ np.diag([1.0, -1.0, -1.0])
-
-    @property
-    def translation(self) -> np.ndarray:
-        """(3,) millimetres, of the head's origin in the camera."""
-        return self.camera.camera_from_world[:3, 3] * MM
-
-    def in_camera(self, points: np.ndarray) -> np.ndarray:
-        """(..., 3) millimetres in the camera of points in the head's frame."""
-        pose = self.camera.camera_from_world
-        return (points @ pose[:3, :3].T + pose[:3, 3]) * MM
-
-    @property
-    def face_centre(self) -> np.ndarray:
-        """(3,) millimetres in the camera: the mean of eye and mouth corners."""
-        corners = [self.mesh.landmarks[name] for name in ("36", "39", "42", "45", "48", "54")]
-        return self.in_camera(np.mean(corners, axis=0).astype(np.float64))
-
-    @property
-    def target(self) -> np.ndarray:
-        """(3,) millimetres in the camera: a point that the gaze from the face's centre meets."""
-        return self.face_centre + TARGET_MM * (self.camera.camera_from_world[:3, :3] @ self.gaze.vector())
-
-    def landmarks(self, camera: Camera, model: ParametricHead) -> np.ndarray:
-        """(68, 2) the standard landmarks in a camera, continuous pixels."""
-        return camera.project(self.mesh.vertices[model.landmark_vertices].astype(np.float64))[0]
-
-    def standard(self, focal: float, distance_mm: float, size: int) -> tuple[np.ndarray, Camera]:
-        """Rotation (3, 3) to the axes of a standard camera (Zhang et al. 2018), and that camera at the same place."""
-        away = float(np.linalg.norm(self.face_centre))
-        ahead = self.face_centre / away
-        down = np.cross(ahead, self.rotation[:, 0])
-        down /= np.linalg.norm(down)
-        turn = np.stack([np.cross(down, ahead), down, ahead])
-        pose = self.camera.world_from_camera.copy()
-        pose[:3, :3] = pose[:3, :3] @ turn.T
-        seen = focal * away / distance_mm
-        return turn, Camera(seen, seen, size / 2, size / 2, size, size, pose)
-
-
-def true_pictures(model: ParametricHead, person: int, count: int, size: int) -> list[TruePicture]:
-    """Pictures of one person from random places; the same arguments give the same pictures."""
-    rng = np.random.default_rng((77, person))
-    who, found = sample_person(rng, model), []
-    for _ in range(count):
-        pitch, yaw = (rng.uniform(-limit, limit) for limit in GAZE_DEGREES)
-        gaze = Gaze.from_degrees(float(pitch), float(yaw))
-        down, side = (float(np.deg2rad(rng.uniform(-limit, limit))) for limit in TURN_DEGREES)
-        distance = float(rng.uniform(7.0, 10.0))
-        aside = tuple(float(v) for v in rng.uniform(-0.3, 0.3, 3))
-        camera = Camera.orbit(side, down, distance=distance, size=size, fov=0.42, target=(aside[0], aside[1], aside[2]))
-        found.append(TruePicture(who, gaze, model.mesh(who, gaze), camera))
-    return found
-
-
-def drawn(picture: TruePicture, camera: Camera, rasterizer: Rasterizer) -> np.ndarray:
-    """(H, W, 3) uint8: a picture before a plain wall."""
-    raster = rasterizer.render_lit(picture.mesh, picture.codes.illumination, camera)
-    return np.where(raster.parts[..., None] == 0, np.array([96, 110, 120], np.uint8), raster.image).astype(np.uint8)
+DISTORTION = np.array([0.05, -0.1, 0.001, -0.001, 0.0])
+SOURCE = 360
+"""Pixels of photographs."""
 
 
 def angles(vector: np.ndarray) -> np.ndarray:
@@ -118,7 +37,7 @@ def angles(vector: np.ndarray) -> np.ndarray:
     return np.array([np.arcsin(-y), np.arctan2(-x, -z)])
 
 
-def write_eth_xgaze(root: Path, people: int, pictures: int, size: int = 224) -> dict[str, list[TruePicture]]:
+def write_eth_xgaze(root: Path, people: int, pictures: int, size: int = 224) -> Truth:
     """`train/subject0000.h5` and on, as ETH-XGaze's normalised files, with `facial_landmarks`; subject to its truth."""
     import h5py
 
@@ -154,7 +73,105 @@ def write_eth_xgaze(root: Path, people: int, pictures: int, size: int = 224) -> 
     return truth
 
 
-WRITERS: dict[str, Callable[[Path, int, int], dict[str, list[TruePicture]]]] = {"eth-xgaze": write_eth_xgaze}
+def photographed(people: int, pictures: int) -> Iterator[tuple[int, list[TruePicture], list[np.ndarray]]]:
+    """Number, truth and distorted photographs of each person."""
+    model = load_head_model()
+    with Rasterizer((SOURCE, SOURCE), 2) as rasterizer:
+        for person in range(people):
+            taken = true_pictures(model, person, pictures, SOURCE)
+            images = [drawn(picture, picture.camera, rasterizer) for picture in taken]
+            yield person, taken, [distorted(image, matrix_of(taken[i]), DISTORTION) for i, image in enumerate(images)]
+
+
+def matrix_of(picture: TruePicture) -> np.ndarray:
+    """(3, 3) intrinsics of a photograph as OpenCV has them, pixel centres at whole numbers."""
+    return picture.camera.intrinsics - np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
+
+
+def save_jpeg(path: Path, image: np.ndarray) -> None:
+    """A photograph on disk."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(image).save(path, quality=97)
+
+
+def write_mpiifacegaze(root: Path, people: int, pictures: int) -> Truth:
+    """`p00` and on with `p00.txt`, `Calibration/Camera.mat` and `day01/0000.jpg`."""
+    import scipy.io
+
+    truth: Truth = {}
+    for person, taken, images in photographed(people, pictures):
+        name, lines = f"p{person:02d}", []
+        folder = root / name
+        for i, (picture, image) in enumerate(zip(taken, images, strict=True)):
+            file = f"day{1 + i // 3:02d}/{i:04d}.jpg"
+            save_jpeg(folder / file, image)
+            vector = cv2.Rodrigues(picture.rotation)[0].ravel()
+            corners = [picture.mesh.landmarks[key] for key in ("36", "39", "42", "45", "48", "54")]
+            points = picture.camera.project(np.stack(corners).astype(float))[0].ravel()
+            numbers = [*vector, *picture.translation, *picture.face_centre, *picture.target]
+            shown = [*(str(round(v)) for v in (640, 400, *points)), *(f"{v:.6f}" for v in numbers)]
+            lines.append(" ".join([file, *shown, "left"]))
+        (folder / f"{name}.txt").write_text("\n".join(lines) + "\n")
+        (folder / "Calibration").mkdir()
+        camera = {"cameraMatrix": matrix_of(taken[0]), "distCoeffs": DISTORTION[None], "retval": 0.2}
+        scipy.io.savemat(folder / "Calibration" / "Camera.mat", camera)
+        truth[name] = taken
+    return truth
+
+
+def write_gazecapture(root: Path, people: int, pictures: int) -> Truth:
+    """`00002` and on with `frames/00000.jpg` and `info.json`, and `GazeCapture_supplementary.h5`."""
+    import h5py
+
+    truth: Truth = {}
+    root.mkdir(parents=True)
+    with h5py.File(root / "GazeCapture_supplementary.h5", "w") as file:
+        for person, taken, images in photographed(people, pictures):
+            name, rows = f"{2 + 26 * person:05d}", []
+            for i, (picture, image) in enumerate(zip(taken, images, strict=True)):
+                save_jpeg(root / name / "frames" / f"{i:05d}.jpg", image)
+                inner = np.mean([picture.mesh.landmarks[key] for key in ("39", "42")], axis=0).astype(float)
+                eyes = picture.in_camera(inner)
+                target = eyes + picture.target - picture.face_centre
+                rows.append((matrix_of(picture), cv2.Rodrigues(picture.rotation)[0].ravel(), eyes, target))
+            group = file.create_group(name)
+            group["file_name"] = np.array([f"{name}/frames/{i:05d}.jpg" for i in range(pictures)], "S")
+            group["camera_parameters"] = np.array([[k[0, 0], k[1, 1], k[0, 2], k[1, 2]] for k, *_ in rows])
+            group["distortion_parameters"] = np.tile(DISTORTION, (pictures, 1))
+            group["head_pose"] = np.array([np.concatenate([turn, eyes]) for _, turn, eyes, _ in rows])
+            group["3d_gaze_target"] = np.array([target for *_, target in rows])
+            about = {"TotalFrames": pictures, "DeviceName": "iPhone 6", "Dataset": "test"}
+            (root / name / "info.json").write_text(json.dumps(about))
+            truth[name] = taken
+    return truth
+
+
+def write_sted(root: Path, people: int, pictures: int, file_name: str = "GazeCapture.h5", size: int = 128) -> Truth:
+    """`GazeCapture.h5` as `create_hdf_files_for_sted.py` writes it."""
+    import h5py
+
+    model, truth = load_head_model(), {}
+    root.mkdir(parents=True)
+    with h5py.File(root / file_name, "w") as file, Rasterizer((size, size), 2) as rasterizer:
+        for person in range(people):
+            name, taken = f"{2 + 26 * person:05d}", true_pictures(model, person, pictures, size)
+            pixels, labels = [], []
+            for picture in taken:
+                turn, camera = picture.standard(500.0 * size / 128, 600.0, size)
+                pixels.append(drawn(picture, camera, rasterizer))
+                gaze, back = angles(turn @ (picture.target - picture.face_centre)), turn @ picture.rotation[:, 2]
+                labels.append([*gaze, np.arcsin(back[1]), np.arctan2(back[0], back[2]), *gaze, *gaze])
+            file[f"{name}/pixels"], file[f"{name}/labels"] = np.stack(pixels), np.array(labels, np.float32)
+            truth[name] = taken
+    return truth
+
+
+WRITERS: dict[str, Callable[[Path, int, int], Truth]] = {
+    "eth-xgaze": write_eth_xgaze,
+    "mpiifacegaze": write_mpiifacegaze,
+    "gazecapture": write_gazecapture,
+    "gazecapture-sted": write_sted,
+}
 """Data set to what writes rendered people in its layout: folder, people, pictures of each; subject to its truth."""
 
 

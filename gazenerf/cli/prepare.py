@@ -100,7 +100,7 @@ def _prepare(options: Options) -> int:
 
 def _rows(options: Options, examined: Examined) -> dict[str, object]:
     about = {
-        "data set": f"{options.dataset} ({examined.layout}), split {options.split}",
+        "data set": f"{options.dataset} ({examined.layout}), split {examined.split}",
         "subjects": f"{examined.subjects} of {examined.wanted}",
         "pictures": f"{examined.pictures:,}",
     }

@@ -26,9 +26,10 @@ def chosen_subjects(found: PublishedSet, names: Sequence[str], limit: int | None
     for name in names:
         if name not in found.subjects:
             meant = did_you_mean(name, found.subjects)
-            known = f"{found.subjects[0]} to {found.subjects[-1]}"
+            first, *_, last = [*found.subjects, *found.subjects]
+            known = f"{first} to {last}"
             raise UserError(f"the split has no subject {name!r}{meant}; it has {len(found.subjects)}, {known}")
-    numbered = [(i, name) for i, name in enumerate(found.subjects) if not names or name in names]
+    numbered = [(number, name) for name, number in found.subjects.items() if not names or name in names]
     return numbered[:limit]
 
 

@@ -40,7 +40,7 @@ class EthXgaze:
     """ETH-XGaze's normalised HDF5 files.
 
     Args:
-        place: Folder with `train_test_split.json` or a folder of the split's name.
+        place: Folder with `train_test_split.json` or a folder of the split's name; `train` by default.
 
     Raises:
         UserError: there is no such split.
@@ -49,16 +49,14 @@ class EthXgaze:
     layout = "eth-xgaze-hdf5"
 
     def __init__(self, place: Place) -> None:
-        self._place = place
-        if (place.root / "data" / "annotation_train").is_dir() and not (place.root / place.split).is_dir():
+        self._root, self.split = place.root, place.split or "train"
+        if (place.root / "data" / "annotation_train").is_dir() and not (place.root / self.split).is_dir():
             raise UserError(f"{place.root} holds the raw photographs of ETH-XGaze, which are not read here; {VERSION}")
-        self.subjects = published_split(place.root, place.split)
+        self.subjects = {name: number for number, name in enumerate(published_split(place.root, self.split))}
 
     def path(self, subject: str) -> Path:
         """The file of a subject, which lies in the split's folder or beside `train_test_split.json`."""
-        inside, beside = (
-            folder / f"{subject}.h5" for folder in (self._place.root / self._place.split, self._place.root)
-        )
+        inside, beside = (folder / f"{subject}.h5" for folder in (self._root / self.split, self._root))
         return beside if beside.is_file() and not inside.is_file() else inside
 
     @contextmanager
@@ -105,6 +103,7 @@ class XgazeSubject:
         self._landmarks = None
         if landmarks:
             self._landmarks = member(file, "facial_landmarks", path, (count, STANDARD, 2), "f", VERSION)
+        self.has_landmarks = landmarks
         self.listed = self._rows(frames, cameras)
 
     @staticmethod

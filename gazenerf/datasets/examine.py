@@ -20,7 +20,7 @@ class Examined:
     """What was found.
 
     Attributes:
-        layout: Of the data set.
+        layout, split: Of the data set.
         subjects: How many of the chosen subjects are sound, and
         wanted: how many are chosen.
         pictures: Pictures that would be prepared.
@@ -30,6 +30,7 @@ class Examined:
     """
 
     layout: str
+    split: str
     subjects: int = 0
     wanted: int = 0
     pictures: int = 0
@@ -61,7 +62,7 @@ def examine(options: PrepareOptions, progress: Progress = silent) -> tuple[Publi
     options.check()
     found = open_dataset(options.dataset, options.place)
     chosen = chosen_subjects(found, options.subjects, options.people)
-    examined = Examined(found.layout, wanted=len(chosen))
+    examined = Examined(found.layout, found.split, wanted=len(chosen))
     for check in (options.files.check, Rasterizer((options.size, options.size), 1).close):
         try:
             check()
@@ -71,6 +72,10 @@ def examine(options: PrepareOptions, progress: Progress = silent) -> tuple[Publi
         try:
             with found.open(subject) as opened:
                 kept, turned = chosen_pictures(opened.listed, options.pictures, number)
+                if options.landmarks == "dataset" and not opened.has_landmarks:
+                    raise UserError(
+                        f"{subject} has no published landmarks; take --landmarks mediapipe or a folder of them"
+                    )
         except UserError as error:
             examined.problems.append(str(error))
         else:

@@ -57,7 +57,7 @@ def member(group: Any, name: str, path: Path, shape: tuple[int | None, ...], kin
 
     Args:
         group: The file or a group of it.
-        name: In the group.
+        name: In the group, with slashes where it lies in groups of it.
         path: Of the file, for messages.
         shape: What it must have; None is any length.
         kinds: Allowed kinds of its numbers, such as `uf`.
@@ -68,11 +68,14 @@ def member(group: Any, name: str, path: Path, shape: tuple[int | None, ...], kin
     """
     h5py = _h5py()
     with reading_hdf5(path):
-        if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-            if name in group or group.get(name, getlink=True) is not None:
+        found, parts = group, name.split("/")
+        for part in parts:
+            link = found.get(part, getlink=True) if isinstance(found, h5py.Group) else None
+            if link is None:
+                raise UserError(f"{path} has no {name}; {version}")
+            if not isinstance(link, h5py.HardLink):
                 raise UserError(f"{path}: {name} lies in another file, which is not followed; copy it into this one")
-            raise UserError(f"{path} has no {name}; {version}")
-        found = group[name]
+            found = found[part]
         if not isinstance(found, h5py.Dataset):
             raise UserError(f"{path}: {name} is no array; {version}")
         fits = len(found.shape) == len(shape) and all(a in (None, b) for a, b in zip(shape, found.shape, strict=True))

@@ -11,7 +11,7 @@ import numpy as np
 from gazenerf.data.captures import Capture
 from gazenerf.data.rasterizer import Rasterizer
 from gazenerf.datasets.faces import Face
-from gazenerf.datasets.parts import head_parts
+from gazenerf.datasets.parts import above_chin, head_parts
 from gazenerf.datasets.published import Sample
 from gazenerf.errors import UserError
 from gazenerf.geometry import Camera, Gaze
@@ -23,6 +23,9 @@ from gazenerf.photographs.normalisation import face_centre, normalise
 SMALLEST_HEAD_SHARE = 0.02
 """Of a picture; where less shows the head, fit or mask went wrong."""
 
+SMALLEST_SEEN_SHARE = 0.95
+"""Of the fitted head above its chin; less would teach the field that heads end at a border."""
+
 
 @dataclass(frozen=True)
 class View:
@@ -33,6 +36,7 @@ class View:
         camera: Its world is the head's frame.
         axes: (3, 3) from the standard camera's axes to the head's frame.
         landmarks, person, labels: As `Face` has them, in `pixels`.
+        seen: (S, S) bool, what the photograph shows.
     """
 
     pixels: np.ndarray
@@ -41,6 +45,7 @@ class View:
     landmarks: FaceLandmarks
     person: np.ndarray | None
     labels: np.ndarray | None
+    seen: np.ndarray
 
 
 def make_capture(
@@ -66,7 +71,7 @@ def make_capture(
         person, number: Indices of the capture.
 
     Raises:
-        UserError: next to nothing of the picture shows the head.
+        UserError: next to nothing of the picture shows the head, or the photograph's border cuts it.
     """
     subject = fitted.subject
     assert subject.camera is not None
@@ -75,7 +80,11 @@ def make_capture(
     mesh = model.mesh(subject.codes, gaze)
     with Rasterizer((size, size), 1) as rasterizer:
         raster = rasterizer.render(mesh, np.zeros((len(mesh.vertices), 3)), view.camera)
+    head = (raster.parts > 0) & above_chin(mesh, view.camera)
+    if head.any() and (share := view.seen[head].mean()) < SMALLEST_SEEN_SHARE:
+        raise UserError(f"the photograph's border cuts the head: {100 * share:.0f} % of it are seen")
     parts = head_parts(raster, mesh, view.camera, view.landmarks, view.person, view.labels)
+    parts[~view.seen] = 0
     if (parts > 0).mean() < SMALLEST_HEAD_SHARE:
         raise UserError(f"{100 * (parts > 0).mean():.1f} % of the picture show the head; fit or mask went wrong")
     shown = parts > 0
@@ -111,10 +120,13 @@ def _resized(sample: Sample, face: Face, fitted: FittedPhotograph, size: int, _:
     pixels = part(sample.pixels, cv2.INTER_AREA if size < side else cv2.INTER_CUBIC)
     person = None if face.person is None else part(face.person.astype(np.uint8), cv2.INTER_NEAREST)
     labels = part(face.labels, cv2.INTER_NEAREST)
-    assert pixels is not None
+    seen = np.ones((side, side), bool) if sample.seen is None else sample.seen
+    shown = part(seen.astype(np.uint8), cv2.INTER_NEAREST)
+    assert pixels is not None and shown is not None
     marks = FaceLandmarks(face.landmarks.points * (size / side))
     camera = camera.resized(size, size)
-    return View(pixels, camera, camera.world_from_camera[:3, :3], marks, None if person is None else person > 0, labels)
+    axes, person = camera.world_from_camera[:3, :3], None if person is None else person > 0
+    return View(pixels, camera, axes, marks, person, labels, shown > 0)
 
 
 def _normalised(sample: Sample, face: Face, fitted: FittedPhotograph, size: int, focal: float) -> View:
@@ -126,4 +138,6 @@ def _normalised(sample: Sample, face: Face, fitted: FittedPhotograph, size: int,
     person = None if face.person is None else found.warp_labels(face.person.astype(np.uint8)) > 0
     labels = None if face.labels is None else found.warp_labels(face.labels)
     marks = FaceLandmarks(found.points(face.landmarks.points))
-    return View(found.warp(sample.pixels), found.camera, found.camera.world_from_camera[:3, :3], marks, person, labels)
+    seen = found.warp_labels(np.ones(sample.pixels.shape[:2], np.uint8)) > 0
+    axes = found.camera.world_from_camera[:3, :3]
+    return View(found.warp(sample.pixels), found.camera, axes, marks, person, labels, seen)

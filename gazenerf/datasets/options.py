@@ -31,7 +31,11 @@ class PrepareOptions:
 
     dataset: str = option(help="which data set", choices=tuple(DATASETS))
     root: Path = option(help="its folder, as published (docs/datasets.md)", metavar="DIR")
-    split: str = option("train", "the subjects that the publishers call so (default: train)", metavar="NAME")
+    split: str | None = option(
+        None,
+        "the subjects that the publishers call so (default: train of eth-xgaze, test of gazecapture)",
+        metavar="NAME",
+    )
     subjects: tuple[str, ...] = option((), "only these subjects of the split", metavar="NAME")
     people: int | None = option(None, "at most so many subjects, the first ones", metavar="N")
     pictures: int | None = option(None, "at most so many pictures of each, chosen at random", metavar="N")

@@ -72,10 +72,14 @@ def _head(
     drawn = raster.parts > 0
     if person is None:
         return drawn
+    return person & (drawn | (_grown(drawn, HAIR_MM * pixels_per_mm) & above_chin(mesh, camera)))
+
+
+def above_chin(mesh: HeadMesh, camera: Camera) -> np.ndarray:
+    """(H, W) bool: pixels above the chin, along the line from the brows to it."""
     chin, brows = camera.project(np.stack([mesh.landmarks["8"], mesh.landmarks["27"]]).astype(np.float64))[0]
     down = (chin - brows) / max(float(np.linalg.norm(chin - brows)), 1e-9)
-    above_chin = (camera.pixel_centres() - chin) @ down < 0.0
-    return person & (drawn | (_grown(drawn, HAIR_MM * pixels_per_mm) & above_chin))
+    return (camera.pixel_centres() - chin) @ down < 0.0
 
 
 def _pixels_per_mm(mesh: HeadMesh, camera: Camera) -> float:

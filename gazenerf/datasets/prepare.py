@@ -16,6 +16,7 @@ from gazenerf.datasets.examine import Examined, examine
 from gazenerf.datasets.options import PrepareOptions
 from gazenerf.datasets.person import PersonPreparation, Say
 from gazenerf.datasets.person_record import CAPTURE, FAILED, PersonRecord
+from gazenerf.datasets.published import PublishedSet
 from gazenerf.errors import UserError
 from gazenerf.head_model import load_head_model
 from gazenerf.head_model.interface import HeadModel
@@ -59,7 +60,7 @@ def prepare(options: PrepareOptions, out: Path, progress: Progress = silent, say
     found, examined = examine(options, progress)
     examined.refuse()
     model = load_head_model()
-    write_manifest(out, _manifest(options, found.layout, model))
+    write_manifest(out, _manifest(options, found, model))
     records, before, done = [], 0, 0
     for number, subject in chosen_subjects(found, options.subjects, options.people):
         record = PersonRecord.load(out, number, subject)
@@ -87,12 +88,12 @@ def _median(records: Sequence[PersonRecord], name: str) -> float | None:
     return float(np.median(values)) if values else None
 
 
-def _manifest(options: PrepareOptions, layout: str, model: HeadModel) -> dict[str, Any]:
+def _manifest(options: PrepareOptions, found: PublishedSet, model: HeadModel) -> dict[str, Any]:
     """What must be the same for a run to go on; which subjects are prepared may grow."""
     return {
         "dataset": options.dataset,
-        "layout": layout,
-        "split": options.split,
+        "layout": found.layout,
+        "split": found.split,
         "pictures": options.pictures,
         "size": options.size,
         "landmarks": options.landmark_source,

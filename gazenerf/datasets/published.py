@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,6 +48,7 @@ class Sample:
         head: (3, 3) published head pose, from the head's frame to the standard camera's axes; None where none is
             published.
         landmarks: Published ones, None where there are none.
+        seen: (H, W) bool, where `pixels` are of the photograph and not beyond its border; None is everywhere.
     """
 
     pixels: np.ndarray
@@ -56,6 +57,7 @@ class Sample:
     focal: float | None = None
     head: np.ndarray | None = None
     landmarks: FaceLandmarks | None = None
+    seen: np.ndarray | None = None
 
     @property
     def published_gaze(self) -> Gaze | None:
@@ -69,6 +71,11 @@ class SubjectPictures(Protocol):
     @property
     def listed(self) -> Sequence[Listed]:
         """All pictures, in published order."""
+        ...
+
+    @property
+    def has_landmarks(self) -> bool:
+        """Whether 68 landmarks are published with the pictures."""
         ...
 
     def read(self, number: int) -> Sample:
@@ -89,8 +96,13 @@ class PublishedSet(Protocol):
         ...
 
     @property
-    def subjects(self) -> Sequence[str]:
-        """Those of the chosen split in published order, whether they are on disk or not."""
+    def split(self) -> str:
+        """The split that was chosen."""
+        ...
+
+    @property
+    def subjects(self) -> Mapping[str, int]:
+        """Those of the split in published order, whether they are on disk or not, and the numbers of their captures."""
         ...
 
     def open(self, subject: str) -> AbstractContextManager[SubjectPictures]:
@@ -108,8 +120,8 @@ class Place:
 
     Attributes:
         root: The folder.
-        split: As the publishers call it.
+        split: As the publishers call it; None for the one that is mostly used.
     """
 
     root: Path
-    split: str = "train"
+    split: str | None = None

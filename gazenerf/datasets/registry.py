@@ -5,10 +5,30 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from gazenerf.datasets.eth_xgaze import EthXgaze
+from gazenerf.datasets.gazecapture import GazeCapture
+from gazenerf.datasets.mpiifacegaze import MpiiFaceGaze
 from gazenerf.datasets.published import Place, PublishedSet
+from gazenerf.datasets.sted_hdf5 import StedHdf5
 from gazenerf.errors import UserError
 
-DATASETS: dict[str, Callable[[Place], PublishedSet]] = {"eth-xgaze": EthXgaze}
+MPII_FILE, GAZECAPTURE_FILE = "MPIIGaze.h5", "GazeCapture.h5"
+
+
+def open_mpiifacegaze(place: Place) -> PublishedSet:
+    """MPIIFaceGaze: its photographs, or the HDF5 file that was made of them."""
+    return StedHdf5(place, MPII_FILE) if (place.root / MPII_FILE).is_file() else MpiiFaceGaze(place)
+
+
+def open_gazecapture(place: Place) -> PublishedSet:
+    """GazeCapture: its photographs, or the HDF5 file that was made of them."""
+    return StedHdf5(place, GAZECAPTURE_FILE) if (place.root / GAZECAPTURE_FILE).is_file() else GazeCapture(place)
+
+
+DATASETS: dict[str, Callable[[Place], PublishedSet]] = {
+    "eth-xgaze": EthXgaze,
+    "mpiifacegaze": open_mpiifacegaze,
+    "gazecapture": open_gazecapture,
+}
 """Name to what opens a folder; the names are also those of `FOCAL_LENGTHS`."""
 
 

@@ -14,7 +14,7 @@ MAX_SPLIT_BYTES = 2**20
 MAX_SUBJECTS = 10**4
 
 
-def published_split(root: Path, split: str, suffix: str = ".h5") -> list[str]:
+def published_split(root: Path, split: str, suffix: str = ".h5", file: str = SPLIT_FILE) -> list[str]:
     """Names of the subjects of a split, without suffix, in the order of the published file.
 
     Without that file they are the files in the folder of the split's name, by name.
@@ -22,34 +22,40 @@ def published_split(root: Path, split: str, suffix: str = ".h5") -> list[str]:
     Args:
         root: Of the data set.
         split: Such as `train`.
-        suffix: Of subject files.
+        suffix: Of subject files; empty where subjects are no files.
+        file: That names the splits.
 
     Raises:
         UserError: neither the file nor the folder is there, or the file has no such split or holds no names.
     """
-    if not (root / SPLIT_FILE).is_file():
-        found = sorted(file.name.removesuffix(suffix) for file in (root / split).glob(f"*{suffix}") if file.is_file())
+    path = root / file
+    if not path.is_file():
+        found = (
+            []
+            if not suffix
+            else sorted(file.name.removesuffix(suffix) for file in (root / split).glob(f"*{suffix}") if file.is_file())
+        )
         if not found:
             raise UserError(
-                f"{root} has neither {SPLIT_FILE} nor a folder {split} with {suffix} files; give the folder of the "
-                "data set with --root (docs/datasets.md shows the layouts)"
+                f"{root} has neither {file} nor a folder {split} with {suffix or 'subject'} files; give the folder of "
+                "the data set with --root (docs/datasets.md shows the layouts)"
             )
         return found
-    value = read_json(root / SPLIT_FILE, MAX_SPLIT_BYTES, absent="download it", large="it only names subjects")
+    value = read_json(path, MAX_SPLIT_BYTES, absent="download it", large="it only names subjects")
     if not isinstance(value, dict) or split not in value:
         known = sorted(value) if isinstance(value, dict) else []
         meant = did_you_mean(split, known)
-        raise UserError(f"{root / SPLIT_FILE} has no split {split!r}{meant}; it has {', '.join(known) or 'none'}")
-    return [_name(item, root, suffix) for item in _listed(value[split], root, split)]
+        raise UserError(f"{path} has no split {split!r}{meant}; it has {', '.join(known) or 'none'}")
+    return [_name(item, path, suffix) for item in _listed(value[split], path, split)]
 
 
-def _listed(value: Any, root: Path, split: str) -> list[Any]:
+def _listed(value: Any, path: Path, split: str) -> list[Any]:
     if not isinstance(value, list) or not 0 < len(value) <= MAX_SUBJECTS:
-        raise UserError(f"the split {split!r} of {root / SPLIT_FILE} lists no subjects; choose another --split")
+        raise UserError(f"the split {split!r} of {path} lists no subjects; choose another --split")
     return value
 
 
-def _name(value: Any, root: Path, suffix: str) -> str:
+def _name(value: Any, path: Path, suffix: str) -> str:
     if not isinstance(value, str) or not value.removesuffix(suffix) or Path(value).name != value or "\0" in value:
-        raise UserError(f"{root / SPLIT_FILE} names the subject {str(value)[:60]!r}, which is no file name")
+        raise UserError(f"{path} names the subject {str(value)[:60]!r}, which is no file name")
     return value.removesuffix(suffix)

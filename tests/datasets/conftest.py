@@ -8,7 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.published_sets import TruePicture, write_eth_xgaze
+from benchmarks.published_sets import write_eth_xgaze
+from benchmarks.true_pictures import TruePicture
 from gazenerf.data.rasterizer import Rasterizer
 from gazenerf.errors import UserError
 from gazenerf.head_model import load_head_model

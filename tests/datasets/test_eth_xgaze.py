@@ -39,7 +39,7 @@ def opened(root, subject="subject0000"):
 def test_labels_are_the_true_gaze(xgaze):
     root, truth = xgaze
     found = EthXgaze(Place(root))
-    assert found.subjects == ["subject0000", "subject0003"]
+    assert found.subjects == {"subject0000": 0, "subject0003": 1} and found.split == "train"
     for subject, pictures in truth.items():
         listed, samples = opened(root, subject)
         assert [item.name for item in listed] == [f"frame0000-cam{i:02d}" for i in range(4)]
@@ -116,7 +116,7 @@ def test_folders_that_are_no_data_set(copy, tmp_path):
 
 def test_without_the_split_file_the_folder_counts(copy):
     (copy / "train_test_split.json").unlink()
-    assert EthXgaze(Place(copy)).subjects == ["subject0000", "subject0003"]
+    assert list(EthXgaze(Place(copy)).subjects) == ["subject0000", "subject0003"]
 
 
 def test_names_that_leave_the_folder_are_refused(copy):

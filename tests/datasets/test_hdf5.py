@@ -67,7 +67,8 @@ def test_nothing_outside_the_file_is_read(tmp_path):
         layout[:] = h5py.VirtualSource(tmp_path / "other.h5", "a", (3, 2))
         file.create_virtual_dataset("virtual", layout)
         file.create_dataset("raw", (3, 2), float, external=[(str(tmp_path / "secret"), 0, 48)])
-    for name in ("link", "soft", "virtual", "raw"):
+        file["folder"] = h5py.ExternalLink("other.h5", "/")
+    for name in ("link", "soft", "virtual", "raw", "folder/a"):
         with pytest.raises(UserError, match=f"{name} lies in another file, which is not followed"):
             taken(tmp_path / "a.h5", name)
 
