@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -21,7 +22,10 @@ from PIL import Image
 
 from benchmarks.true_pictures import TruePicture, distorted, drawn, true_pictures
 from gazenerf.data.rasterizer import Rasterizer
+from gazenerf.geometry import Camera, Gaze
+from gazenerf.geometry.gaze import rotation_x, rotation_y
 from gazenerf.head_model import load_head_model
+from gazenerf.head_model.sampling import sample_person
 
 Truth = dict[str, list[TruePicture]]
 """Subject to pictures, in the order of the data set."""
@@ -166,11 +170,40 @@ def write_sted(root: Path, people: int, pictures: int, file_name: str = "GazeCap
     return truth
 
 
+def write_columbiagaze(root: Path, people: int, pictures: int, size: tuple[int, int] = (600, 400)) -> Truth:
+    """`0001/0001_2m_-15P_10V_-10H.jpg` and on: the head turned by P, eyes at V and H as the camera sees them."""
+    model, truth = load_head_model(), {}
+    width, height = size
+    with Rasterizer(size, 2) as rasterizer:
+        for person in range(people):
+            rng, name = np.random.default_rng((78, person)), f"{person + 1:04d}"
+            who, named = sample_person(rng, model), {}
+            while len(named) < pictures:
+                turn, up = int(rng.choice([-30, -15, 0, 15, 30])), int(rng.choice([-10, 0, 10]))
+                side = int(rng.choice([-15, -10, -5, 0, 5, 10, 15]))
+                file = f"{name}_2m_{turn}P_{up}V_{side}H.jpg"
+                gaze = Gaze.from_degrees(up, side - turn)  # to the subject's left; exact where the head is level
+                mesh = model.mesh(who, gaze)
+                middle = np.mean([mesh.landmarks[key] for key in ("36", "39", "42", "45", "48", "54")], axis=0)
+                # a head that is turned to its left is seen from its right
+                camera = Camera.orbit(-np.deg2rad(turn), distance=20.0, size=size, target=tuple(middle.tolist()))
+                focal = 19720.0 / 5184.0 * width
+                camera = replace(camera, fx=focal, fy=focal, cx=width / 2, cy=height / 2)
+                aside = camera.world_from_camera.copy()
+                aside[:3, :3] = aside[:3, :3] @ rotation_y(0.02) @ rotation_x(-0.01)
+                named[file] = TruePicture(who, gaze, mesh, replace(camera, world_from_camera=aside))
+            for file, picture in named.items():
+                save_jpeg(root / name / file, drawn(picture, picture.camera, rasterizer))
+            truth[name] = [named[file] for file in sorted(named)]
+    return truth
+
+
 WRITERS: dict[str, Callable[[Path, int, int], Truth]] = {
     "eth-xgaze": write_eth_xgaze,
     "mpiifacegaze": write_mpiifacegaze,
     "gazecapture": write_gazecapture,
     "gazecapture-sted": write_sted,
+    "columbiagaze": write_columbiagaze,
 }
 """Data set to what writes rendered people in its layout: folder, people, pictures of each; subject to its truth."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from gazenerf.datasets.columbiagaze import ColumbiaGaze
 from gazenerf.datasets.eth_xgaze import EthXgaze
 from gazenerf.datasets.gazecapture import GazeCapture
 from gazenerf.datasets.mpiifacegaze import MpiiFaceGaze
@@ -27,6 +28,7 @@ def open_gazecapture(place: Place) -> PublishedSet:
 DATASETS: dict[str, Callable[[Place], PublishedSet]] = {
     "eth-xgaze": EthXgaze,
     "mpiifacegaze": open_mpiifacegaze,
+    "columbiagaze": ColumbiaGaze,
     "gazecapture": open_gazecapture,
 }
 """Name to what opens a folder; the names are also those of `FOCAL_LENGTHS`."""
