@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from benchmarks.true_pictures import TruePicture, distorted, drawn, true_pictures
+from benchmarks.true_pictures import MM, TruePicture, distorted, drawn, true_pictures
 from gazenerf.data.rasterizer import Rasterizer
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.geometry.gaze import rotation_x, rotation_y
@@ -96,6 +96,51 @@ def save_jpeg(path: Path, image: np.ndarray) -> None:
     """A photograph on disk."""
     path.parent.mkdir(parents=True, exist_ok=True)
     Image.fromarray(image).save(path, quality=97)
+
+
+def write_eth_xgaze_raw(root: Path, people: int, pictures: int) -> Truth:
+    """`data/train/subject0000/frame0000/cam00.JPG` and on, `data/annotation_train` and `calibration`.
+
+    All people have the head pose's points of the first one.
+    """
+    truth: Truth = {}
+    calibration, points = root / "calibration" / "cam_calibration", np.zeros((50, 3))
+    (root / "data" / "annotation_train").mkdir(parents=True)
+    calibration.mkdir(parents=True)
+    for person, taken, images in photographed(people, pictures):
+        name, lines = f"subject{3 * person:04d}", []
+        if not truth:
+            for row, key in zip((20, 23, 26, 29, 15, 19), ("36", "39", "42", "45", "31", "35"), strict=True):
+                points[row] = taken[0].mesh.landmarks[key] * MM * [1.0, -1.0, -1.0]
+            centre = 0.5 * (points[[20, 23, 26, 29]].mean(axis=0) + points[[15, 19]].mean(axis=0))
+        for i, (picture, image) in enumerate(zip(taken, images, strict=True)):
+            frame, file = f"frame{i // 18:04d}", f"cam{i % 18:02d}.JPG"
+            down = i % 18 in (3, 6, 13)
+            save_jpeg(root / "data" / "train" / name / frame / file, image[::-1, ::-1] if down else image)
+            vector = cv2.Rodrigues(picture.rotation)[0].ravel()
+            origin = picture.translation + picture.rotation @ centre
+            target = origin + picture.target - picture.face_centre
+            marks = picture.landmarks(picture.camera, load_head_model())[:, None] - 0.5
+            bent = distorted_points(marks, matrix_of(picture), DISTORTION)
+            numbers = [*target, *vector, *picture.translation, *bent.ravel()]
+            lines.append(",".join([frame, file, "960", "540", *(f"{v:.6f}" for v in numbers)]))
+            writer = cv2.FileStorage(str(calibration / f"cam{i % 18:02d}.xml"), cv2.FILE_STORAGE_WRITE)
+            writer.write("image_Width", SOURCE)
+            writer.write("image_Height", SOURCE)
+            writer.write("Camera_Matrix", matrix_of(picture))
+            writer.write("Distortion_Coefficients", DISTORTION[None])
+            writer.release()
+        (root / "data" / "annotation_train" / f"{name}.csv").write_text("\n".join(lines) + "\n")
+        truth[name] = taken
+    np.savetxt(root / "calibration" / "face_model.txt", points)
+    return truth
+
+
+def distorted_points(points: np.ndarray, matrix: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
+    """(N, 2) pixels at which a lens shows points (N, 1, 2) of the undistorted picture."""
+    rays = cv2.undistortPoints(points, matrix, None).reshape(-1, 2)
+    rays = np.column_stack([rays, np.ones(len(rays))])
+    return cv2.projectPoints(rays, np.zeros(3), np.zeros(3), matrix, coefficients)[0].reshape(-1, 2)
 
 
 def write_mpiifacegaze(root: Path, people: int, pictures: int) -> Truth:
@@ -200,6 +245,7 @@ def write_columbiagaze(root: Path, people: int, pictures: int, size: tuple[int, 
 
 WRITERS: dict[str, Callable[[Path, int, int], Truth]] = {
     "eth-xgaze": write_eth_xgaze,
+    "eth-xgaze-raw": write_eth_xgaze_raw,
     "mpiifacegaze": write_mpiifacegaze,
     "gazecapture": write_gazecapture,
     "gazecapture-sted": write_sted,

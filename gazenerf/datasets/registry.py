@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from gazenerf.datasets.columbiagaze import ColumbiaGaze
 from gazenerf.datasets.eth_xgaze import EthXgaze
+from gazenerf.datasets.eth_xgaze_raw import EthXgazeRaw
 from gazenerf.datasets.gazecapture import GazeCapture
 from gazenerf.datasets.mpiifacegaze import MpiiFaceGaze
 from gazenerf.datasets.published import Place, PublishedSet
@@ -13,6 +14,11 @@ from gazenerf.datasets.sted_hdf5 import StedHdf5
 from gazenerf.errors import UserError
 
 MPII_FILE, GAZECAPTURE_FILE = "MPIIGaze.h5", "GazeCapture.h5"
+
+
+def open_eth_xgaze(place: Place) -> PublishedSet:
+    """ETH-XGaze: its photographs, or the normalised HDF5 files."""
+    return EthXgazeRaw(place) if (place.root / "data").is_dir() else EthXgaze(place)
 
 
 def open_mpiifacegaze(place: Place) -> PublishedSet:
@@ -26,7 +32,7 @@ def open_gazecapture(place: Place) -> PublishedSet:
 
 
 DATASETS: dict[str, Callable[[Place], PublishedSet]] = {
-    "eth-xgaze": EthXgaze,
+    "eth-xgaze": open_eth_xgaze,
     "mpiifacegaze": open_mpiifacegaze,
     "columbiagaze": ColumbiaGaze,
     "gazecapture": open_gazecapture,

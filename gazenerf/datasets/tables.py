@@ -50,7 +50,7 @@ def read_table(path: Path, separator: str, words: int, columns: tuple[int, ...],
         raise UserError(f"{path} does not exist; {version}") from error
     except (OSError, UnicodeDecodeError) as error:
         raise UserError(f"{path} cannot be read as text ({str(error)[:80]}); {version}") from error
-    lines = [[word for word in line.split(separator) if word.strip()] for line in text if line.strip()]
+    lines = [_words(line, separator) for line in text if line.strip()]
     if not lines or len(lines) >= LARGEST_ROW:
         raise UserError(f"{path} holds {len(lines)} lines; 1 to {LARGEST_ROW - 1} are read")
     if len(lines[0]) not in columns:
@@ -59,9 +59,14 @@ def read_table(path: Path, separator: str, words: int, columns: tuple[int, ...],
     return [_line(line, words, len(lines[0])) for line in lines]
 
 
+def _words(line: str, separator: str) -> list[str]:
+    """Columns; several blanks separate two of them, but two commas hold an empty one between them."""
+    return [word for word in line.split(separator) if word.strip() or separator != " "]
+
+
 def _line(line: list[str], words: int, columns: int) -> Line:
     try:
-        if len(line) < columns - 1:  # a last column of text may be left out
+        if len(line) != columns:
             raise ValueError
         return Line(tuple(line[:words]), np.array([_number(word) for word in line[words:]]), None)
     except ValueError:

@@ -105,9 +105,6 @@ def test_folders_that_are_no_data_set(copy, tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(UserError, match=r"neither train_test_split\.json nor a folder train"):
         EthXgaze(Place(tmp_path / "empty"))
-    (tmp_path / "raw" / "data" / "annotation_train").mkdir(parents=True)
-    with pytest.raises(UserError, match="raw photographs"):
-        EthXgaze(Place(tmp_path / "raw"))
     with pytest.raises(UserError, match=r"no split 'trian' \(did you mean train\?\)"):
         EthXgaze(Place(copy, "trian"))
     with pytest.raises(UserError, match="lists no subjects"):

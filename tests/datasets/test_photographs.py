@@ -12,8 +12,8 @@ import pytest
 import scipy.io
 from PIL import Image
 
-from benchmarks.published_sets import write_gazecapture, write_mpiifacegaze
-from benchmarks.true_pictures import drawn
+from benchmarks.published_sets import write_eth_xgaze_raw, write_gazecapture, write_mpiifacegaze
+from benchmarks.true_pictures import TruePicture, drawn
 from gazenerf.data import CaptureSet
 from gazenerf.data.rasterizer import Rasterizer
 from gazenerf.datasets.examine import examine
@@ -21,21 +21,34 @@ from gazenerf.datasets.gazecapture import SUPPLEMENT
 from gazenerf.datasets.options import PrepareOptions
 from gazenerf.datasets.posed_photographs import HeadPose
 from gazenerf.datasets.prepare import prepare
-from gazenerf.datasets.published import Place
+from gazenerf.datasets.published import Place, Sample
 from gazenerf.datasets.registry import open_dataset
 from gazenerf.datasets.tables import inside
 from gazenerf.errors import UserError
+from gazenerf.geometry import Camera
+from gazenerf.head_model import load_head_model
 from gazenerf.image_metrics import psnr
 from tests.datasets.conftest import same_direction
 
-SETS = {"mpiifacegaze": (write_mpiifacegaze, 1400.0, "p00"), "gazecapture": (write_gazecapture, 1200.0, "00002")}
+SETS = {
+    "eth-xgaze": (write_eth_xgaze_raw, 1600.0, "subject0000"),
+    "mpiifacegaze": (write_mpiifacegaze, 1400.0, "p00"),
+    "gazecapture": (write_gazecapture, 1200.0, "00002"),
+}
 
 
 @pytest.fixture(scope="module")
 def published(tmp_path_factory):
-    """Name to folder and truth: one person, two photographs each."""
+    """Name to folder and truth: one person, four photographs each; those of camera 3 of ETH-XGaze are upside down."""
     where = tmp_path_factory.mktemp("photographs")
-    return {name: (where / name, write(where / name, 1, 2)) for name, (write, *_) in SETS.items()}
+    return {name: (where / name, write(where / name, 1, 4)) for name, (write, *_) in SETS.items()}
+
+
+def camera_of(sample: Sample, true: TruePicture) -> Camera:
+    """The camera that a sample claims to be seen by, at the true place."""
+    pose = true.camera.world_from_camera.copy()
+    pose[:3, :3] = sample.head.T
+    return Camera(sample.focal, sample.focal, 256.0, 256.0, 512, 512, pose)
 
 
 @pytest.mark.parametrize("name", SETS)
@@ -44,33 +57,35 @@ def test_the_standard_camera_sees_the_true_head_and_gaze(name, published):
     with open_dataset(name, Place(root)).open(subject) as opened, Rasterizer((512, 512), 1) as rasterizer:
         for item, true in zip(opened.listed, truth[subject], strict=True):
             assert item.fault is None
-            sample, (turn, camera) = opened.read(item.number), true.standard(focal, 680.0, 512)
-            wanted = turn @ true.camera.camera_from_world[:3, :3] @ true.gaze.vector()
-            near = np.rad2deg(np.arccos(np.clip(sample.direction @ wanted, -1.0, 1.0)))
-            assert near < 1e-3 if name == "mpiifacegaze" else near < 0.5, "GazeCapture's face centre is a mean one"
+            sample = opened.read(item.number)
+            camera = camera_of(sample, true)
             assert np.rad2deg(sample.published_gaze.angle_to(true.gaze)) < 1e-2
-            assert sample.focal == pytest.approx(camera.fx, rel=1e-4 if name == "mpiifacegaze" else 5e-3)
-            shown = drawn(true, camera, rasterizer)
-            middle = slice(100, 412), slice(100, 412)
-            assert psnr(sample.pixels[middle] / 255.0, shown[middle] / 255.0) > 22.0
+            away = np.linalg.norm(true.face_centre)
+            assert sample.focal == pytest.approx(focal * away / 680.0, rel=0.02), "680 mm from the face's centre"
+            corners = [true.mesh.landmarks[key] for key in ("36", "39", "42", "45", "48", "54")]
+            assert np.abs(camera.project(np.mean(corners, axis=0))[0] - 256.0).max() < 40.0, "the face is in the middle"
+            shown, window = drawn(true, camera, rasterizer), (slice(100, 412), slice(100, 412))
+            assert psnr(sample.pixels[window] / 255.0, shown[window] / 255.0) > 24.0
+            if sample.landmarks is not None:
+                assert np.abs(sample.landmarks.points - true.landmarks(camera, load_head_model())).max() < 0.2
 
 
 @pytest.mark.parametrize("name", SETS)
 def test_photographs_become_captures(name, published, true_fit, tmp_path):
-    (root, truth), (_, focal, subject) = published[name], SETS[name]
-    true_fit(truth, lambda true, size: true.standard(focal, 680.0, size)[1])
+    (root, truth), (*_, subject) = published[name], SETS[name]
     marks = tmp_path / "marks" / subject
     marks.mkdir(parents=True)
-    from gazenerf.head_model import load_head_model
-
+    cameras = {}
     with open_dataset(name, Place(root)).open(subject) as opened:
         for item, true in zip(opened.listed, truth[subject], strict=True):
-            np.save(marks / f"{item.name}.npy", true.landmarks(true.standard(focal, 680.0, 512)[1], load_head_model()))
+            cameras[id(true)] = camera_of(opened.read(item.number), true)
+            np.save(marks / f"{item.name}.npy", true.landmarks(cameras[id(true)], load_head_model()))
+    true_fit(truth, lambda true, size: cameras[id(true)].resized(size, size))
     options = PrepareOptions(dataset=name, root=root, size=64, landmarks=str(marks.parent), subjects=(subject,))
     made = prepare(options, tmp_path / "out")
-    assert made.counts == {"capture": 2}
+    assert made.counts == {"capture": 4}
     for capture in CaptureSet(tmp_path / "out"):
-        assert np.rad2deg(capture.gaze.angle_to(truth[subject][capture.view].gaze)) < 0.5
+        assert np.rad2deg(capture.gaze.angle_to(truth[subject][capture.view].gaze)) < 0.01
 
 
 def test_landmarks_that_are_not_published_are_said_before_anything_starts(published):
@@ -86,7 +101,6 @@ def test_a_head_that_the_border_cuts_is_left_out(published, tmp_path):
 
     from gazenerf.datasets.faces import Face
     from gazenerf.datasets.make_capture import make_capture
-    from gazenerf.head_model import load_head_model
     from gazenerf.photographs.landmarks import FaceLandmarks
     from gazenerf.subjects import Subject
 
