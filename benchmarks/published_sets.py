@@ -104,7 +104,7 @@ def write_eth_xgaze_raw(root: Path, people: int, pictures: int) -> Truth:
     All people have the head pose's points of the first one.
     """
     truth: Truth = {}
-    calibration, points = root / "calibration" / "cam_calibration", np.zeros((50, 3))
+    calibration, points, centre = root / "calibration" / "cam_calibration", np.zeros((50, 3)), np.zeros(3)
     (root / "data" / "annotation_train").mkdir(parents=True)
     calibration.mkdir(parents=True)
     for person, taken, images in photographed(people, pictures):

@@ -32,7 +32,7 @@ from gazenerf.photographs.normalisation import FOCAL_LENGTHS
 SUPPLEMENT = "GazeCapture_supplementary.h5"
 SPLITS = ("train", "val", "test")
 VERSION = f"give the folder of GazeCapture with {SUPPLEMENT} of swook/faze_preprocess in it"
-MAX_PEOPLE = 10**4
+MAX_PEOPLE, LONGEST_ID = 10**4, 9
 
 FACE_FROM_EYES_MM = np.array([0.0, 22.9, -2.1])
 """The face's centre seen from between the inner corners of the eyes, head axes x left, y down, z backward: that of this
@@ -67,8 +67,8 @@ class GazeCapture:
             raise UserError(f"no folder in {place.root} has an info.json of the split {self.split!r}; {VERSION}")
 
     def _split_of(self, name: str) -> str | None:
-        path = self._root / name / "info.json"
-        if not name.isdigit() or not path.is_file():
+        path = self._root / name[:LONGEST_ID] / "info.json"
+        if not name.isdigit() or len(name) > LONGEST_ID or not path.is_file():
             return None
         about = read_json(path, 2**20, absent="", large="it is no description of a person")
         return about.get("Dataset") if isinstance(about, dict) else None

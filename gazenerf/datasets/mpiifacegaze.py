@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from gazenerf.datasets.labels import unit_direction
+from gazenerf.datasets.matlab import read_matrices
 from gazenerf.datasets.posed_photographs import HeadPose, PosedPhotograph, PublishedCamera, normalised_sample
 from gazenerf.datasets.published import Listed, Place, Sample
 from gazenerf.datasets.tables import Line, inside, read_table
@@ -110,22 +111,17 @@ def read_calibration(path: Path) -> PublishedCamera:
     Raises:
         UserError: missing, too large, damaged, or of other arrays.
     """
-    import scipy.io
-
     try:
         if path.stat().st_size > MAX_CALIBRATION_BYTES:
             raise UserError(f"{path} is larger than a calibration; {VERSION}")
-        shapes = {name: shape for name, shape, _ in scipy.io.whosmat(path)}
-        if shapes.get("cameraMatrix") != (3, 3) or not 4 <= np.prod(shapes.get("distCoeffs", (0,))) <= 14:
-            raise UserError(f"{path} has no cameraMatrix of 3 x 3 with distCoeffs; {VERSION}")
-        found = scipy.io.loadmat(path, variable_names=["cameraMatrix", "distCoeffs"])
-        matrix, distortion = (np.array(found[key], dtype=np.float64) for key in ("cameraMatrix", "distCoeffs"))
+        found = read_matrices(path.read_bytes(), ("cameraMatrix", "distCoeffs"))
     except FileNotFoundError as error:
         raise UserError(f"{path} does not exist; {VERSION}") from error
-    except UserError:
-        raise
-    except Exception as error:  # scipy raises errors of many kinds over damaged files
+    except (OSError, ValueError) as error:
         raise UserError(f"{path} cannot be read as MATLAB's ({str(error)[:80]}); {VERSION}") from error
+    matrix, distortion = found.get("cameraMatrix"), found.get("distCoeffs")
+    if matrix is None or distortion is None or matrix.shape != (3, 3) or not 4 <= distortion.size <= 14:
+        raise UserError(f"{path} has no cameraMatrix of 3 x 3 with distCoeffs; {VERSION}")
     if not (np.isfinite(matrix).all() and np.isfinite(distortion).all() and min(matrix[0, 0], matrix[1, 1]) > 1.0):
         raise UserError(f"{path} holds no possible camera; {VERSION}")
     return PublishedCamera(matrix, distortion.reshape(-1))

@@ -108,22 +108,27 @@ def normalised_sample(photograph: PosedPhotograph, focal: float, size: int = SIZ
         raise UserError(f"{photograph.file} is {width}x{height}, its camera was calibrated at {photograph.size}")
     if photograph.upside_down:
         pixels = pixels[::-1, ::-1]
-    known, pose = photograph.camera, photograph.pose
-    pixels = cv2.undistort(np.ascontiguousarray(pixels), known.matrix, known.distortion)
-    reached = cv2.undistort(np.full((height, width), 255, np.uint8), known.matrix, known.distortion) == 255
     try:
-        camera = _camera(known, pose, width, height)
-        centre = camera.world_from_camera[:3, :3] @ pose.face_centre + camera.position
-        found = normalise(camera, centre, METRES_PER_MM, focal * size / SIZE, size=size)
-        gaze = unit_direction(photograph.target - photograph.origin)
-    except ValueError as error:
-        raise UserError(f"{photograph.file} has an impossible annotation ({error})") from error
+        return _normalised(photograph, np.ascontiguousarray(pixels), focal, size)
+    except (ValueError, OverflowError, cv2.error) as error:
+        reason = " ".join(str(error).split())[:120]
+        raise UserError(f"{photograph.file} has an impossible annotation ({reason})") from error
+
+
+def _normalised(photograph: PosedPhotograph, pixels: np.ndarray, focal: float, size: int) -> Sample:
+    """The upright photograph as a sample; what raises means that the annotation is impossible."""
+    known, pose, (height, width) = photograph.camera, photograph.pose, pixels.shape[:2]
+    pixels = cv2.undistort(pixels, known.matrix, known.distortion)
+    reached = cv2.undistort(np.full((height, width), 255, np.uint8), known.matrix, known.distortion) == 255
+    camera = _camera(known, pose, width, height)
+    centre = camera.world_from_camera[:3, :3] @ pose.face_centre + camera.position
+    found = normalise(camera, centre, METRES_PER_MM, focal * size / SIZE, size=size)
+    gaze = unit_direction(photograph.target - photograph.origin)
     landmarks = None
     if photograph.landmarks is not None:
         straight = cv2.undistortPoints(photograph.landmarks[:, None], known.matrix, known.distortion, P=known.matrix)
         landmarks = FaceLandmarks(found.points(straight[:, 0] + 0.5))
-    head = found.camera.camera_from_world[:3, :3]
-    seen = found.warp_labels(reached.astype(np.uint8)) > 0
+    head, seen = found.camera.camera_from_world[:3, :3], found.warp_labels(reached.astype(np.uint8)) > 0
     return Sample(found.warp(pixels), found.rotation @ gaze, True, found.camera.fx, head, landmarks, seen)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from gazenerf.errors import UserError
-from gazenerf.files import read_json
+from gazenerf.files import check_name, read_json
 from gazenerf.names import did_you_mean
 
 SPLIT_FILE = "train_test_split.json"
@@ -58,4 +58,5 @@ def _listed(value: Any, path: Path, split: str) -> list[Any]:
 def _name(value: Any, path: Path, suffix: str) -> str:
     if not isinstance(value, str) or not value.removesuffix(suffix) or Path(value).name != value or "\0" in value:
         raise UserError(f"{path} names the subject {str(value)[:60]!r}, which is no file name")
+    check_name(value)
     return value.removesuffix(suffix)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
@@ -9,9 +10,13 @@ import numpy as np
 
 from gazenerf.datasets.published import LARGEST_ROW
 from gazenerf.errors import UserError
+from gazenerf.files import LONGEST_NAME
 
 MAX_TABLE_BYTES = 512 * 2**20
 """An annotation of ETH-XGaze has 149 numbers a picture."""
+
+LONGEST_PATH = 1024
+"""Characters of a relative path."""
 
 
 @dataclass(frozen=True)
@@ -88,4 +93,6 @@ def inside(folder: Path, name: str) -> Path:
     parts = PurePosixPath(name).parts
     if not parts or PurePosixPath(name).is_absolute() or ".." in parts or "\0" in name or "\\" in name:
         raise ValueError(f"it names the file {name[:60]!r}, which is not below the subject's folder")
+    if max(len(os.fsencode(part)) for part in parts) > LONGEST_NAME or len(name) > LONGEST_PATH:
+        raise ValueError(f"it names the file {name[:60]!r}..., which is too long a name")
     return folder.joinpath(*parts)
