@@ -14,6 +14,12 @@ import numpy as np
 import torch
 from PIL import Image
 
+from benchmarks.fuzz_datasets import (
+    read_dataset_hdf5,
+    read_dataset_photographs,
+    write_dataset_hdf5,
+    write_dataset_photographs,
+)
 from benchmarks.fuzz_texts import read_reports, read_some_options, write_options, write_reports
 from gazenerf.checkpoints import import_official, load_field, save_field
 from gazenerf.data import CaptureSet
@@ -217,5 +223,7 @@ TARGETS: dict[str, Target] = {
     "volume": Target(_volume, _each(read_nrrd, "v.nrrd")),
     "report": Target(write_reports, read_reports),
     "options": Target(write_options, read_some_options),
+    "dataset-hdf5": Target(write_dataset_hdf5, read_dataset_hdf5),
+    "dataset-photographs": Target(write_dataset_photographs, read_dataset_photographs),
 }
 """Kind of file to how it is written and read."""

@@ -151,12 +151,15 @@ def _colours(model: HeadModel, seen: Seen) -> list[_Colours]:
     return found
 
 
-def fit_appearance(model: HeadModel, photographs: Sequence[Seen]) -> tuple[np.ndarray, list[np.ndarray]]:
+def fit_appearance(
+    model: HeadModel, photographs: Sequence[Seen], texture: np.ndarray | None = None
+) -> tuple[np.ndarray, list[np.ndarray]]:
     """Texture code (T,) of a person and light codes (27,), one for each photograph.
 
     Args:
         model: The head model.
         photographs: Of one person, with the fitted head.
+        texture: (T,) where it is known and only the light is fitted.
     """
     rng = np.random.default_rng(0)
     people = [sample_person(rng, model) for _ in range(SAMPLES)]
@@ -168,16 +171,20 @@ def fit_appearance(model: HeadModel, photographs: Sequence[Seen]) -> tuple[np.nd
 
     def both(flat: np.ndarray) -> tuple[float, np.ndarray]:
         leaf = double(flat).requires_grad_(True)
-        texture = leaf[:size]
-        cost = ((texture - double(texture_mean)) / double(texture_deviation)).square().sum()
+        looks = leaf[:size]
+        cost = ((looks - double(texture_mean)) / double(texture_deviation)).square().sum()
         for light, parts in zip(leaf[size:].reshape(len(colours), -1), colours, strict=True):
             off = light - double(light_mean)
             cost = cost + 0.5 * off @ precision @ off
             for part in parts:
-                cost = cost + part.cost(texture, light)
+                cost = cost + part.cost(looks, light)
         (gradient,) = torch.autograd.grad(cost, leaf)
         return cost.item(), gradient.numpy()
 
-    start = np.concatenate([texture_mean, np.tile(light_mean, len(colours))])
-    found = minimize(both, start, jac=True, method="L-BFGS-B", options={"maxiter": 200, "maxcor": 30, "ftol": 1e-7})
+    start = np.concatenate([texture_mean if texture is None else texture, np.tile(light_mean, len(colours))])
+    free: tuple[float | None, float | None] = (None, None)
+    held = [free] * size if texture is None else [(value, value) for value in texture]
+    bounds = held + [free] * (len(start) - size)
+    options = {"maxiter": 200, "maxcor": 30, "ftol": 1e-7}
+    found = minimize(both, start, jac=True, bounds=bounds, method="L-BFGS-B", options=options)
     return found.x[:size], list(found.x[size:].reshape(len(colours), -1))

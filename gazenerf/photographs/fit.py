@@ -78,8 +78,24 @@ class FittedPhotograph:
     warnings: list[str]
 
 
+@dataclass(frozen=True)
+class KnownPerson:
+    """What all photographs of a person share.
+
+    Attributes:
+        identity, texture: (I,) and (T,) codes.
+    """
+
+    identity: np.ndarray
+    texture: np.ndarray
+
+
 def fit_photographs(
-    photographs: Sequence[Photograph], model: HeadModel, table_path: Path | None = None, one_camera: bool = False
+    photographs: Sequence[Photograph],
+    model: HeadModel,
+    table_path: Path | None = None,
+    one_camera: bool = False,
+    known: KnownPerson | None = None,
 ) -> list[FittedPhotograph]:
     """Fit one person in one or several photographs; they share identity and texture.
 
@@ -88,6 +104,7 @@ def fit_photographs(
         model: The head model.
         table_path: Landmark table of the head model; see `table_for`.
         one_camera: The photographs have one focal length, as frames of a video have.
+        known: The person, where other photographs told; pose, expression, gaze and light are fitted then.
 
     Raises:
         UserError: a face is too small or seen in profile, or the landmarks differ in kind.
@@ -102,12 +119,13 @@ def fit_photographs(
             )
     table = table_for(model, photographs[0].landmarks.dense, table_path)
     observed = [Observed(p.landmarks, (p.pixels.shape[1], p.pixels.shape[0]), focal=p.focal) for p in photographs]
-    coarse = fit_shape(model, observed, table, one_camera=one_camera)
+    identity = None if known is None else known.identity
+    coarse = fit_shape(model, observed, table, identity=identity, one_camera=one_camera)
     for photograph, picture in zip(photographs, coarse.pictures, strict=True):
         refuse_profile(photograph.name, picture)
-    shape = _with_pixel_irises(model, photographs, observed, table, coarse, one_camera)
+    shape = _with_pixel_irises(model, photographs, observed, table, coarse, identity, one_camera)
     seen = [_seen(model, p, shape, i) for i, p in enumerate(photographs)]
-    texture, lights = fit_appearance(model, seen)
+    texture, lights = fit_appearance(model, seen, None if known is None else known.texture)
     return [
         _fitted(model, photograph, (coarse.pictures[i], shape.pictures[i]), shape.identity, seen[i],
                 (texture, lights[i]), table)
@@ -135,6 +153,7 @@ def _with_pixel_irises(
     observed: list[Observed],
     table: LandmarkTable,
     coarse: ShapeFit,
+    identity: np.ndarray | None,
     one_camera: bool,
 ) -> ShapeFit:
     """The fit with irises from pixels where they are found."""
@@ -147,7 +166,7 @@ def _with_pixel_irises(
         better.append(item.with_irises(find_irises(*args)))
     if all(item.irises is None for item in better):
         return coarse
-    return fit_shape(model, better, table, coarse, one_camera=one_camera)
+    return fit_shape(model, better, table, coarse, identity, one_camera)
 
 
 def _shape_mesh(model: HeadModel, identity: np.ndarray, picture: PictureFit) -> HeadMesh:

@@ -103,11 +103,9 @@ class Normalisation:
         """A label in the standard camera's frame as a gaze in the head's frame.
 
         Args:
-            pitch, yaw: Radians as Zhang et al. have them: the direction is (-cos(pitch) sin(yaw), -sin(pitch),
-                -cos(pitch) cos(yaw)) in camera axes, so a positive yaw looks to the left of the picture.
+            pitch, yaw: Radians, as `label_direction` takes them.
         """
-        direction = -np.array([np.cos(pitch) * np.sin(yaw), np.sin(pitch), np.cos(pitch) * np.cos(yaw)])
-        return Gaze.from_vector(self.camera.world_from_camera[:3, :3] @ direction)
+        return Gaze.from_vector(self.camera.world_from_camera[:3, :3] @ label_direction(pitch, yaw))
 
     def gaze_in_camera(self, gaze: Gaze) -> tuple[float, float]:
         """Pitch and yaw in radians of `gaze_in_head`'s convention; its inverse."""
@@ -118,6 +116,27 @@ class Normalisation:
         """The third homogeneous coordinate of the point of the source that becomes the picture's middle."""
         middle = np.linalg.inv(self.homography) @ np.array([self.camera.cx, self.camera.cy, 1.0])
         return float(1.0 / middle[2])
+
+
+def label_direction(pitch: np.ndarray | float, yaw: np.ndarray | float) -> np.ndarray:
+    """(..., 3) unit vectors in OpenCV's camera axes of labels as Zhang et al. have them.
+
+    Args:
+        pitch, yaw: (...) radians: the direction is (-cos(pitch) sin(yaw), -sin(pitch), -cos(pitch) cos(yaw)), so zero
+            looks at the camera, a positive pitch up, and a positive yaw to the left of the picture.
+    """
+    return -np.stack([np.cos(pitch) * np.sin(yaw), np.sin(pitch), np.cos(pitch) * np.cos(yaw)], axis=-1)
+
+
+def level_head(pitch: float, yaw: float) -> np.ndarray:
+    """(3, 3) rotation that takes directions in the head's frame to a standard camera, in which its x axis is level.
+
+    Args:
+        pitch, yaw: Radians of where the head faces, with the signs of `label_direction`.
+    """
+    back = -label_direction(pitch, yaw)
+    right = np.array([np.cos(yaw), 0.0, -np.sin(yaw)])
+    return np.stack([right, np.cross(back, right), back], axis=1) @ FACING
 
 
 def normalise(

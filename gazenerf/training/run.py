@@ -44,7 +44,7 @@ class TrainOptions:
         gaze_estimator: For the functional loss; the bundled one by default.
     """
 
-    data: Path = option(help="captures from `gazenerf synthesize`", metavar="DIR")
+    data: Path = option(help="captures from `gazenerf synthesize` or `prepare`", metavar="DIR")
     out: Path = option(help="where the run is written", metavar="DIR")
     preset: str = option("small", "small (default), portrait, paper or tiny", metavar="NAME")
     resume: bool = option(False, "continue the run in --out")
