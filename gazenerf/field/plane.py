@@ -30,6 +30,8 @@ class FeaturePlane(nn.Module):
 
     def at(self, coordinates: torch.Tensor) -> torch.Tensor:
         """`forward` of points whose `plane_coordinates` (B, N, 2) are known."""
+        if coordinates.numel() == 0:
+            return self.mix.new_zeros(*coordinates.shape[:-1], len(self.mix))
         around = torch.cat([self.values[..., -1:], self.values, self.values[..., :1]], dim=-1)[None]
         width = self.values.shape[-1]
         scale = torch.tensor([width / (width + 2.0), 1.0], device=coordinates.device)

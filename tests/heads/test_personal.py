@@ -121,3 +121,4 @@ def test_a_plane_is_looked_up_by_direction_and_goes_on_behind_the_head() -> None
     found = plane(rays)[0].detach()
     torch.testing.assert_close(found[:, 0], torch.tensor([5.0, 1.0, 2.0, 2.0]), atol=1e-4, rtol=0.0)
     torch.testing.assert_close(found[:, 1], 2.0 * found[:, 0])
+    assert plane(torch.zeros(1, 0, 3)).shape == (1, 0, 2)
