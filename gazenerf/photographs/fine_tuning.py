@@ -59,7 +59,7 @@ class Tuning:
 
 
 QUICK = Tuning("quick", around=7, eye_views=7, steps=240, check_every=60)
-"""About a third of the time."""
+"""For a first look."""
 
 
 @dataclass(frozen=True)

@@ -53,7 +53,7 @@ class FieldFitOptions(FitOptions):
 
     Attributes:
         field: Fine-tune a field; without, the head model alone is fitted.
-        quick: A third of the time, less like the person.
+        quick: Fewer steps from fewer views, less like the person.
         checkpoint: The field; what is learned is of no use to another.
     """
 
@@ -61,7 +61,7 @@ class FieldFitOptions(FitOptions):
         True, "fine-tune the field to the person, which is the default",
         off=("--no-field", "fit the head model alone, in seconds; a field then draws a similar stranger"),
     )  # fmt: skip
-    quick: bool = option(False, "fine-tune the field in a third of the time, less like the person")
+    quick: bool = option(False, "fine-tune the field in fewer steps from fewer views: sooner, and less like the person")
     checkpoint: Path | None = option(
         None,
         "the field that is fine-tuned, and that the subject is to be drawn by (default: portrait)",
