@@ -17,7 +17,7 @@ from scipy.sparse.linalg import splu
 
 from gazenerf.data.rasterizer import Raster, Rasterizer
 from gazenerf.geometry import Camera, Gaze
-from gazenerf.head_model.eyes import IRIS_ANGLE
+from gazenerf.head_model.eyes import IRIS_ANGLE, PUPIL_ANGLE
 from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, FACE, HeadMesh, HeadModel
 from gazenerf.head_model.shading import shade
 from gazenerf.photographs.appearance import Seen, eye_openings, seen_vertices
@@ -114,18 +114,21 @@ def _inside(mask: np.ndarray, pixels: np.ndarray) -> np.ndarray:
 def _colour_eyes(differences: np.ndarray, wanted: np.ndarray, mesh: HeadMesh, gaze: Gaze, shown: np.ndarray) -> None:
     """Give the eyeballs the photograph's colours, in place, by the angle from where they look.
 
-    Medians over rings of both eyes leave out shadows of the lids and reflections, which do not turn with the eyes.
+    Medians over rings of both eyes leave out shadows of the lids and reflections, which do not turn with the eyes. The
+    pupil stays black, as the head model has it: highlights often lie there, and would make it lighter than the iris.
     """
     eyes = np.unique(mesh.part_faces(EYE_LEFT, EYE_RIGHT))
     away = mesh.vertices[eyes, None] - mesh.eye_centres
     nearest = np.linalg.norm(away, axis=-1).argmin(axis=1)
     outward = away[np.arange(len(eyes)), nearest]
     cosine = outward @ gaze.vector() / np.linalg.norm(outward, axis=1)
-    ring = np.minimum((np.arccos(np.clip(cosine, -1.0, 1.0)) / RING).astype(int), WHITE)
+    angle = np.arccos(np.clip(cosine, -1.0, 1.0))
+    ring = np.minimum((angle / RING).astype(int), WHITE)
     told = [number for number in range(WHITE + 1) if np.count_nonzero(shown[eyes] & (ring == number)) >= LEAST_RING]
     if told:
         medians = np.stack([np.median(wanted[eyes][shown[eyes] & (ring == number)], axis=0) for number in told])
-        differences[eyes] = np.stack([np.interp(ring, told, medians[:, c]) for c in range(3)], axis=-1)
+        found = np.stack([np.interp(ring, told, medians[:, c]) for c in range(3)], axis=-1)
+        differences[eyes] = np.where((angle > PUPIL_ANGLE)[:, None], found, 0.0)
 
 
 def _continued(mesh: HeadMesh, skin: np.ndarray, trust: np.ndarray, wanted: np.ndarray) -> np.ndarray:
