@@ -14,6 +14,7 @@ from gazenerf.errors import UserError
 from gazenerf.files import check_name, parse_json, whole_file
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.names import did_you_mean
+from gazenerf.personal_weights import PersonalWeights, read_personal
 from gazenerf.tensor_files import TensorFileKind, open_tensors
 
 FORMAT = "gazenerf-subject-1"
@@ -88,6 +89,7 @@ class Subject:
         camera: The camera the subject was seen from, None when unknown.
         gaze: The gaze the subject was seen with, head frame.
         provenance: Where it came from, JSON-able; `trained` says whether the field saw this person.
+        personal: What of a field was fine-tuned to this person, None where nothing was.
     """
 
     name: str
@@ -96,11 +98,13 @@ class Subject:
     camera: Camera | None = None
     gaze: Gaze = field(default_factory=Gaze)
     provenance: dict[str, Any] = field(default_factory=dict)
+    personal: PersonalWeights | None = None
 
     def __repr__(self) -> str:
         sizes = "+".join(str(size) for size in self.codes.sizes)
         known = "with" if self.head_codes is not None else "without"
-        return f"Subject({self.name!r}, {sizes} codes, {known} head-model parameters)"
+        tuned = "" if self.personal is None else ", a field fine-tuned"
+        return f"Subject({self.name!r}, {sizes} codes, {known} head-model parameters{tuned})"
 
     @property
     def fitted_to(self) -> str | None:
@@ -110,7 +114,7 @@ class Subject:
     @property
     def stranger_note(self) -> str | None:
         """What a field makes of a fitted person that it was not fine-tuned to, a sentence; None for others."""
-        if self.fitted_to is None or self.provenance.get("fine_tuned"):
+        if self.fitted_to is None or self.personal is not None:
             return None
         return (
             f"The head model was fitted to the photograph {self.fitted_to}, but the field was not fine-tuned to this "
@@ -122,12 +126,16 @@ class Subject:
         tensors = {f"codes.{name}": getattr(self.codes, name) for name in _CODES}
         if self.head_codes is not None:
             tensors |= {f"head.{name}": getattr(self.head_codes, name) for name in _CODES}
+        if self.personal is not None:
+            tensors |= self.personal.tensors()
         about = {
             "name": self.name,
             "camera": None if self.camera is None else self.camera.to_dict(),
             "gaze": [self.gaze.pitch, self.gaze.yaw],
             "provenance": self.provenance,
         }
+        if self.personal is not None:
+            about["personal_field"] = self.personal.field_hash
         with whole_file(path) as temporary:
             save_file(tensors, temporary, metadata={"format": FORMAT, "subject": json.dumps(about)})
 
@@ -146,7 +154,8 @@ class Subject:
             head = Codes(*(file.get_tensor(f"head.{name}") for name in _CODES)) if "head.identity" in keys else None
             camera = None if about["camera"] is None else Camera.from_dict(about["camera"])
             pitch, yaw = (float(angle) for angle in about["gaze"])
-            return cls(str(about["name"]), codes, head, camera, Gaze(pitch, yaw), dict(about["provenance"]))
+            personal = read_personal(file, about.get("personal_field"))
+            return cls(str(about["name"]), codes, head, camera, Gaze(pitch, yaw), dict(about["provenance"]), personal)
 
 
 _CODES = ("identity", "expression", "texture", "illumination")

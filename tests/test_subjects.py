@@ -11,6 +11,7 @@ from safetensors.numpy import save_file
 from gazenerf import subjects
 from gazenerf.errors import UserError
 from gazenerf.geometry import Camera, Gaze
+from gazenerf.personal_weights import MAX_BYTES, PersonalWeights
 from gazenerf.subjects import FITTED, FORMAT, Codes, Subject, load_subject
 
 
@@ -153,6 +154,42 @@ def test_a_missing_file_says_where_names_are_listed(tmp_path):
 def test_subjects_of_photographs_say_what_a_field_makes_of_them():
     fitted = Subject("me", codes(), provenance={"made_by": FITTED, "photograph": "me.jpg", "fine_tuned": False})
     assert fitted.fitted_to == "me.jpg" and "me.jpg" in fitted.stranger_note
-    tuned = replace(fitted, provenance=fitted.provenance | {"fine_tuned": True})
+    tuned = replace(fitted, personal=PersonalWeights("0" * 16, {}))
     assert tuned.fitted_to == "me.jpg" and tuned.stranger_note is None
     assert Subject("ada", codes(), provenance={"photograph": "x"}).fitted_to is None
+
+
+def test_personal_weights_come_back_and_old_files_have_none(tmp_path):
+    weights = {"streams.face.feature_2.bias": np.arange(4, dtype=np.float16), "renderer.x": np.ones((2, 3), np.float16)}
+    Subject("me", codes(), personal=PersonalWeights("0123", weights)).save(tmp_path / "me.safetensors")
+    read = Subject.load(tmp_path / "me.safetensors").personal
+    assert read is not None and read.field_hash == "0123" and read.changes.keys() == weights.keys()
+    assert all(np.array_equal(read.changes[name], value) for name, value in weights.items())
+    save_file(tensors(), tmp_path / "old.safetensors", metadata=about())
+    assert Subject.load(tmp_path / "old.safetensors").personal is None
+
+
+@pytest.mark.parametrize(
+    ("value", "field", "message"),
+    [
+        (np.ones(3, np.float32), "0123", "are F32 instead of float16"),
+        (np.full(3, np.inf, np.float16), "0123", "NaN or infinite"),
+        (np.ones((1, 1, 1, 1, 1), np.float16), "0123", "5 dimensions"),
+        (np.zeros(MAX_BYTES // 2 + 1, np.float16), "0123", "larger than 12 MiB"),
+        (np.ones(3, np.float16), None, "which field"),
+    ],
+)
+def test_bad_personal_weights_are_one_line(tmp_path, value, field, message):
+    path = tmp_path / "bad.safetensors"
+    save_file(tensors() | {"personal.w": value}, path, metadata=about(personal_field=field))
+    with pytest.raises(UserError, match=message) as told:
+        Subject.load(path)
+    assert "\n" not in str(told.value)
+
+
+def test_too_many_personal_weights_are_refused(tmp_path):
+    path = tmp_path / "many.safetensors"
+    many = {f"personal.w{number}": np.ones(1, np.float16) for number in range(300)}
+    save_file(tensors() | many, path, metadata=about(personal_field="0123"))
+    with pytest.raises(UserError, match="300 personal weights"):
+        Subject.load(path)

@@ -129,7 +129,7 @@ def evaluate_field(
         still = next(capture.codes for capture in captures if capture.person == person).neutral
         head = Head(model, Subject("iris", still, still), precision=precision)
         for pitch, yaw in iris_gazes:
-            for row in _iris_rows(head, Gaze.from_degrees(pitch, yaw), head_model, instruments):
+            for row in iris_rows(head, Gaze.from_degrees(pitch, yaw), head_model, instruments):
                 tally.add(person, row)
             done += 1
             progress(f"measuring, person {person} iris", done, total)
@@ -209,7 +209,8 @@ def _depth_errors_in_window(bound: BoundField, camera: Camera, truth: np.ndarray
     return depth_errors(bound.render_geometry(camera.windowed(crop)), truth[crop])
 
 
-def _iris_rows(head: Head, gaze: Gaze, head_model: HeadModel, instruments: Instruments) -> list[dict[str, float]]:
+def iris_rows(head: Head, gaze: Gaze, head_model: HeadModel, instruments: Instruments) -> list[dict[str, float]]:
+    """The gaze of each eye read from pictures of a head at a commanded gaze, by `UNITS`."""
     codes = head.subject.codes
     mesh, bound = head_model.mesh(codes, gaze), head.at(gaze)
     config = head.field.config

@@ -29,6 +29,7 @@ class TwoStreamField(nn.Module):
         eye_centres: Where the eyeballs turn, of fields whose eyes turn rigidly.
         about: Provenance stored with the weights, JSON-able.
         weights_hash: Names the weights; empty for a field that was never saved.
+        untuned: The field that this one was fine-tuned from to one person, in a tuple; empty for all others.
     """
 
     def __init__(self, config: FieldConfig) -> None:
@@ -40,6 +41,7 @@ class TwoStreamField(nn.Module):
         self.eye_centres = EyeCentres(config.identity) if config.eye_motion == "rigid" else None
         self.about: dict[str, Any] = {}
         self.weights_hash = ""
+        self.untuned: tuple[TwoStreamField, ...] = ()  # a module in an attribute of its own would be a part of this one
 
     def stream(self, name: str) -> Stream:
         """A stream by name."""

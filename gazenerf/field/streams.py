@@ -17,6 +17,7 @@ from gazenerf.field.config import FieldConfig
 from gazenerf.field.distance import DistanceCondition, DistanceNetwork, laplace_density
 from gazenerf.field.encoding import positional_encoding
 from gazenerf.field.eye_motion import EyePose
+from gazenerf.field.plane import FeaturePlane, plane_coordinates
 
 INITIAL_DENSITY = 5.0
 """Density bias of a fresh stream, per world unit: a ReLU that starts at zero may never leave it."""
@@ -55,6 +56,9 @@ class Stream(nn.Module):
     Args:
         config: Sizes and initialisation.
         name: Which stream of the field.
+
+    Attributes:
+        plane: Features of one person, in fields that were fine-tuned to one; else None.
     """
 
     def __init__(self, config: FieldConfig, name: str = "face") -> None:
@@ -62,6 +66,7 @@ class Stream(nn.Module):
         self.config, self.sees_gaze, self.inputs = config, config.sees_gaze(name), config.input_channels(name)
         width, inputs = config.hidden, self.inputs
         appearance = config.texture + config.illumination
+        self.plane: FeaturePlane | None = None
         self.trunk = nn.ModuleList(
             nn.Linear(inputs if i == 0 else width + inputs if i == config.skip_after else width, width)
             for i in range(config.layers)
@@ -145,7 +150,10 @@ class Stream(nn.Module):
             assert self.density is not None
             density = self._density(self.density(hidden)).squeeze(-1)
         feature = torch.cat([self.feature_0(hidden), spread(self._appearance(appearance_code))], dim=-1)
-        return density, self.feature_2(F.relu(self.feature_1(feature)))
+        feature = self.feature_1(feature)
+        if self.plane is not None:
+            feature = feature + self.plane(points.flatten(1, -2)).reshape(feature.shape)
+        return density, self.feature_2(F.relu(feature))
 
     def condition(
         self, shape_code: torch.Tensor, appearance_code: torch.Tensor, gaze_label: torch.Tensor
@@ -183,15 +191,36 @@ class Stream(nn.Module):
             density (B, ...) float32 and hidden feature (B, ..., H/2).
         """
         batch, rest = points.shape[0], points.shape[1:-1]
+        found, hidden, places = self.trunk_of(points, condition, features)
+        density = found.reshape(batch, *rest)
+        if not features:
+            return density, hidden
+        feature = self.hidden_feature(hidden, condition, None if self.plane is None else plane_coordinates(places))
+        return density, feature.reshape(batch, *rest, feature.shape[-1])
+
+    def trunk_of(
+        self, points: torch.Tensor, condition: StreamCondition, features: bool = True
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """What `query` computes before any feature layer, which is all that geometry needs.
+
+        Args:
+            points: (B, ..., 3), N in all for each of B.
+            condition: Of the same B.
+            features: Without, the second result is empty.
+
+        Returns:
+            density (B, N) float32, what the trunk gives (B, N, H), and the points (B, N, 3) at which it was asked.
+        """
+        batch = points.shape[0]
         density = None
         if condition.pose is not None:
             points = condition.pose.straight_ahead(points)
         points = points.reshape(batch, -1, 3)
         if self.distance is not None and condition.distance is not None:
             distance, places = self.distance.with_places(points, condition.distance)
-            density = laplace_density(distance, self.config.surface_spread).reshape(batch, *rest)
+            density = laplace_density(distance, self.config.surface_spread)
             if not features:
-                return density, density.new_empty(0)
+                return density, density.new_empty(0), points
             if self.config.features_at == "template":
                 points = places
         encoded = positional_encoding(points, self.config.frequencies)
@@ -211,11 +240,23 @@ class Stream(nn.Module):
             hidden = _relu(hidden)
         if density is None:
             assert self.density is not None
-            density = self._density(self.density(hidden).float()).reshape(batch, *rest)
-        if not features:
-            return density, hidden.new_empty(0)
-        feature = F.linear(hidden, condition.feature_weight) + _like(condition.feature_bias, encoded)
-        return density, _relu(feature).reshape(batch, *rest, feature.shape[-1])
+            density = self._density(self.density(hidden).float()).squeeze(-1)
+        return density, hidden if features else hidden.new_empty(0), points
+
+    def hidden_feature(
+        self, hidden: torch.Tensor, condition: StreamCondition, coordinates: torch.Tensor | None = None
+    ) -> torch.Tensor:
+        """The hidden feature (B, N, H/2) of what the trunk gives (B, N, H).
+
+        Args:
+            hidden: At N points.
+            condition: Of the same B.
+            coordinates: (B, N, 2) of the points on the plane, of streams that have one.
+        """
+        feature = F.linear(hidden, condition.feature_weight) + _like(condition.feature_bias, hidden)
+        if self.plane is not None and coordinates is not None:
+            feature = feature + self.plane.at(coordinates).to(feature.dtype)
+        return _relu(feature)
 
     def signed_distance(self, points: torch.Tensor, condition: StreamCondition) -> torch.Tensor:
         """Distances (B, ...) float32 from the surface at points (B, ..., 3), world units, negative inside.

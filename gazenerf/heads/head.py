@@ -25,6 +25,7 @@ from gazenerf.heads.feature_map import BEYOND, RayFeatures, cut_out, grown
 from gazenerf.heads.interface import Part
 from gazenerf.heads.lattice import Band
 from gazenerf.heads.occupancy import MOVED, Occupancy
+from gazenerf.heads.personal import personal_field
 from gazenerf.heads.upsampler import Upsampler, make_upsampler, upsample_window
 from gazenerf.subjects import Subject
 from gazenerf.workers import pool, workers_for
@@ -56,7 +57,8 @@ class Head:
 
     Args:
         field: The field.
-        subject: Its codes must have the field's sizes.
+        subject: Its codes must have the field's sizes. What was fine-tuned for it is put into a copy of the field
+            where it belongs to these weights; elsewhere a warning says that it is left out.
         sampler: `slabs` or `guided`; the field's own when None.
         device: `auto`, `cpu`, `cuda` or `cuda:N`, to which the field is moved; where it is when None.
         precision: Of matrix products, one of `gazenerf.devices.PRECISIONS`; see there for the error.
@@ -66,7 +68,7 @@ class Head:
         frames: Draws several views in one pass.
 
     Raises:
-        UserError: code sizes differ, or PyTorch sees no such device.
+        UserError: code sizes differ, personal weights do not fit, or PyTorch sees no such device.
     """
 
     def __init__(
@@ -86,7 +88,9 @@ class Head:
                 f"the field takes {config.code_sizes}; choose a subject made for this field"
             )
         if device is not None:
-            field.to(choose_device(device))
+            for moved in (field, *field.untuned):
+                moved.to(choose_device(device))
+        field = personal_field(field, subject)
         self.field, self.subject = field, subject
         self.sampler = sampler or config.sampler
         self.precision, self.dtype = precision, product_dtype(precision, self.device)

@@ -120,7 +120,13 @@ class _Colours:
         return self.weight * ((1.0 + square).sqrt() - 1.0).sum(dim=1).mean()
 
 
-def _colours(model: HeadModel, seen: Seen) -> list[_Colours]:
+def seen_vertices(seen: Seen) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where a photograph shows the vertices of the fitted head.
+
+    Returns:
+        pixels (V, 2) image coordinates, the cosine (V,) between normal and direction to the camera, and (V,) bool
+        whether nothing of the head is in front.
+    """
     mesh, camera = seen.mesh, seen.camera
     pixels, _ = camera.project(mesh.vertices.astype(np.float64))
     away = camera.position - mesh.vertices
@@ -128,7 +134,15 @@ def _colours(model: HeadModel, seen: Seen) -> list[_Colours]:
     height, width = seen.image.shape[:2]
     column, row = np.clip(np.floor(pixels).astype(int), 0, [width - 1, height - 1]).T
     visible = np.abs(seen.raster.depth[row, column] - distance) < DEPTH_UNITS
-    visible &= (mesh.normals * away).sum(axis=1) > FACING * distance
+    return pixels, (mesh.normals * away).sum(axis=1) / distance, visible
+
+
+def _colours(model: HeadModel, seen: Seen) -> list[_Colours]:
+    mesh = seen.mesh
+    pixels, cosine, visible = seen_vertices(seen)
+    visible &= cosine > FACING
+    height, width = seen.image.shape[:2]
+    column, row = np.clip(np.floor(pixels).astype(int), 0, [width - 1, height - 1]).T
     on_skin = np.zeros(len(mesh.vertices), bool)
     on_skin[mesh.part_faces(FACE)] = True
     smooth = cv2.GaussianBlur(seen.image, (0, 0), 0.7).astype(np.float32) / 255.0

@@ -1,4 +1,4 @@
-"""Photographs on disk become subject files, each with an overlay and a JSON file beside it."""
+"""Photographs on disk become subject files, each with pictures of the fit and a JSON file beside it."""
 
 from __future__ import annotations
 
@@ -7,137 +7,152 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
 
+from gazenerf.checkpoints import load_field
 from gazenerf.errors import UserError
+from gazenerf.field.model import TwoStreamField
 from gazenerf.files import refuse_existing, whole_file
 from gazenerf.head_model import load_head_model
-from gazenerf.options import option
-from gazenerf.photographs.detector import Detection, detect
-from gazenerf.photographs.fit import FittedPhotograph, Photograph, fit_photographs
-from gazenerf.photographs.landmarks import choose_face, read_labels, read_landmarks, read_mask
+from gazenerf.photographs.fine_tuning import QUICK, Tuning, check_field
+from gazenerf.photographs.fit import FittedPhotograph, fit_photographs
+from gazenerf.photographs.fit_options import FieldFitOptions, read_photographs
 from gazenerf.photographs.overlay import overlay
-from gazenerf.photographs.picture import read_photograph
-
-PERSON = 0.5
-"""Probability from which a pixel counts as the person."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class FitOptions:
-    """How photographs are fitted.
-
-    Attributes:
-        landmarks, masks, labels: One file for each photograph, instead of what MediaPipe finds.
-        face: Number of the face from 1, the largest first; None where there is one.
-        focal: Pixels, where it is known.
-        head_model, landmark_table: Instead of the bundled ones.
-        photo_python: Interpreter that has MediaPipe; see `gazenerf.photographs.detector.photo_python`.
-    """
-
-    landmarks: tuple[Path, ...] = option(
-        (), "a file for each photograph: 478 or 68 points in pixels (.npy, .npz, .json, .csv)", metavar="FILE"
-    )
-    masks: tuple[Path, ...] = option((), "a picture for each photograph, white where the person is", metavar="FILE")
-    labels: tuple[Path, ...] = option((), "a face parser's label image for each photograph (0 to 18)", metavar="FILE")
-    face: int | None = option(None, "which face, from 1, the largest first, where there are several", metavar="N")
-    focal: float | None = option(None, "focal length in pixels, where it is known", metavar="PX")
-    head_model: Path | None = option(None, "another head model (docs/head-model.md)", metavar="FILE")
-    landmark_table: Path | None = option(None, "its landmark table (docs/photos.md)", metavar="FILE")
-    photo_python: Path | None = option(None, "interpreter that has MediaPipe (docs/photos.md)", metavar="PYTHON")
-
-    def __post_init__(self) -> None:
-        if self.focal is not None and not 1.0 <= self.focal <= 1e6:
-            raise UserError(f"--focal is in pixels, 1 to 1000000, got {self.focal:g}")
+from gazenerf.photographs.person_field import PersonField, fit_field
+from gazenerf.progress import Progress, silent
+from gazenerf.subjects import Subject
 
 
 @dataclass(frozen=True)
 class MadeFit:
-    """What was written for one photograph, and what was fitted."""
+    """What was written for one photograph, and what was fitted.
+
+    Attributes:
+        subject, overlay, json: Files.
+        fitted: The head model's fit.
+        field_picture: The file of the field before and after it was fine-tuned, None where it was not.
+        field: What fine-tuning gave, None where the field was left as it is.
+    """
 
     subject: Path
     overlay: Path
     json: Path
     fitted: FittedPhotograph
+    field_picture: Path | None = None
+    field: PersonField | None = None
 
 
 def make_fit(
-    photographs: Sequence[Path], out: Path, options: FitOptions | None = None, overwrite: bool = False
+    photographs: Sequence[Path],
+    out: Path,
+    options: FieldFitOptions | None = None,
+    overwrite: bool = False,
+    progress: Progress = silent,
 ) -> list[MadeFit]:
-    """Fit the head model to photographs of one person and write a subject for each.
+    """Fit the head model to photographs of one person, fine-tune the field to each, and write a subject for each.
+
+    The head model's fits are written first, so that a run that is cut short leaves subjects without personal weights.
 
     Args:
         photographs: PNG, JPEG or WebP.
         out: Subject file of the first photograph; those of others get their number before the suffix.
         options: How they are fitted.
         overwrite: Replace files.
+        progress: Told how far the field is.
 
     Raises:
         UserError: anything in the input that a user can mend.
     """
-    options = options or FitOptions()
+    options = options or FieldFitOptions()
     if out.suffix != ".safetensors":
         raise UserError(f"--out {out} must end in .safetensors")
-    targets = [_targets(out, number) for number in range(len(photographs))]
-    refuse_existing([file for files in targets for file in files], overwrite)
+    targets = [_Targets.of(out, number) for number in range(len(photographs))]
+    wanted = [file for target in targets for file in target.files(options.field)]
+    refuse_existing(wanted, overwrite)
     model = load_head_model(options.head_model)
+    field = _field(options, model.code_sizes) if options.field else None
     started = time.perf_counter()
     fitted = fit_photographs(read_photographs(photographs, options), model, options.landmark_table)
     seconds = time.perf_counter() - started
+    for target, item in zip(targets, fitted, strict=True):
+        _save_picture(target.overlay, overlay(item))
+        _save(target, item, item.subject, seconds)
+    if field is None:
+        return [MadeFit(t.subject, t.overlay, t.json, item) for t, item in zip(targets, fitted, strict=True)]
     made = []
-    for (subject, picture, about), item in zip(targets, fitted, strict=True):
-        with whole_file(picture) as temporary:
-            Image.fromarray(overlay(item)).save(temporary)
-        said = {
-            "photograph": item.subject.provenance["photograph"],
-            "subject": subject.name,
-            "fine_tuned": False,
-            "seconds_for_all_photographs": seconds,
-            "warnings": item.warnings,
-            **item.residuals,
-        }
-        with whole_file(about) as temporary:
-            temporary.write_text(json.dumps(said, indent=2) + "\n", encoding="utf-8")
-        item.subject.save(subject)
-        made.append(MadeFit(subject, picture, about, item))
+    for target, item in zip(targets, fitted, strict=True):
+        tuning = QUICK if options.quick else Tuning()
+        person = fit_field(
+            field, item, model, tuning, progress, lambda picture, to=target: _save_srgb(to.field, picture)
+        )
+        _save_srgb(target.field, np.concatenate([np.concatenate(row, axis=1) for row in person.pictures], axis=0))
+        _save(target, item, person.subject, seconds, person.measured)
+        made.append(MadeFit(target.subject, target.overlay, target.json, item, target.field, person))
     return made
 
 
-def read_photographs(files: Sequence[Path], options: FitOptions) -> list[Photograph]:
-    """Photographs with their landmarks and masks, as the user gave them or as they are detected.
+@dataclass(frozen=True)
+class _Targets:
+    """Files of one photograph."""
+
+    subject: Path
+    overlay: Path
+    json: Path
+    field: Path
+
+    @classmethod
+    def of(cls, out: Path, number: int) -> _Targets:
+        stem = out.stem if number == 0 else f"{out.stem}-{number + 1}"
+        endings = ("safetensors", "overlay.png", "json", "field.png")
+        return cls(*(out.with_name(f"{stem}.{ending}") for ending in endings))
+
+    def files(self, field: bool) -> list[Path]:
+        return [self.subject, self.overlay, self.json, *([self.field] if field else [])]
+
+
+def _field(options: FieldFitOptions, sizes: tuple[int, ...]) -> TwoStreamField:
+    """The field to fine-tune.
 
     Raises:
-        UserError: a file cannot be read, has no face, or the numbers of files differ.
+        UserError: it cannot be read, cannot be fine-tuned, or takes other codes than the head model's.
     """
-    for name in ("landmarks", "masks", "labels"):
-        given = len(getattr(options, name))
-        if given not in (0, len(files)):
-            raise UserError(f"--{name} takes one file for each photograph: {len(files)}, got {given}")
-    pictures = [read_photograph(file) for file in files]
-    found: list[Detection | None] = [None] * len(files)
-    if not options.landmarks:
-        found = list(detect(pictures, options.photo_python))
-    photographs = []
-    for i, (file, pixels) in enumerate(zip(files, pictures, strict=True)):
-        size, detection = (pixels.shape[1], pixels.shape[0]), found[i]
-        faces = read_landmarks(options.landmarks[i]) if detection is None else detection.faces
-        landmarks = choose_face(faces, options.face, str(file))
-        person = None if detection is None else detection.person >= PERSON
-        if options.masks:
-            person = read_mask(options.masks[i], size)
-        labels = read_labels(options.labels[i], size) if options.labels else None
-        if not _overlaps(landmarks.points, size):
-            raise UserError(f"the landmarks of {file} lie outside its {size[0]}x{size[1]} pixels")
-        photographs.append(Photograph(file.name, pixels, landmarks, person, labels, options.focal))
-    return photographs
+    field = load_field(options.checkpoint)
+    check_field(field)
+    if field.config.code_sizes != tuple(sizes):
+        raise UserError(
+            f"the field takes codes of {field.config.code_sizes}, the head model has {tuple(sizes)}; give a field made "
+            "from this head model, or --no-field"
+        )
+    return field
 
 
-def _overlaps(points: np.ndarray, size: tuple[int, int]) -> bool:
-    return bool(((points > 0) & (points < size)).all(axis=1).mean() > 0.5)
+def _save(
+    target: _Targets, item: FittedPhotograph, subject: Subject, seconds: float, field: dict[str, Any] | None = None
+) -> None:
+    """Write a subject and what is said of it."""
+    said = {
+        "photograph": subject.provenance["photograph"],
+        "subject": target.subject.name,
+        "fine_tuned": subject.personal is not None,
+        "seconds_for_all_photographs": seconds,
+        "warnings": item.warnings,
+        **item.residuals,
+    }
+    if field is not None:
+        said["field"] = field
+    with whole_file(target.json) as temporary:
+        temporary.write_text(json.dumps(said, indent=2) + "\n", encoding="utf-8")
+    subject.save(target.subject)
 
 
-def _targets(out: Path, number: int) -> tuple[Path, Path, Path]:
-    stem = out.stem if number == 0 else f"{out.stem}-{number + 1}"
-    return out.with_name(f"{stem}.safetensors"), out.with_name(f"{stem}.overlay.png"), out.with_name(f"{stem}.json")
+def _save_srgb(path: Path, picture: np.ndarray) -> None:
+    """Write (H, W, 3) float sRGB."""
+    _save_picture(path, np.round(255.0 * np.clip(picture, 0.0, 1.0)).astype(np.uint8))
+
+
+def _save_picture(path: Path, pixels: np.ndarray) -> None:
+    with whole_file(path) as temporary:
+        Image.fromarray(pixels).save(temporary)

@@ -14,7 +14,7 @@ from gazenerf.head_model import load_head_model
 from gazenerf.head_model.interface import HeadModel
 from gazenerf.options import option
 from gazenerf.photographs.fit import fit_photographs
-from gazenerf.photographs.make_fit import FitOptions, read_photographs
+from gazenerf.photographs.fit_options import FitOptions, read_photographs
 from gazenerf.photographs.marking import check_picture_name, write_altered
 from gazenerf.photographs.picture import read_photograph
 from gazenerf.photographs.redirect import Redirected, Redirector, refuse_beyond

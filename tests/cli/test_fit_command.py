@@ -16,6 +16,7 @@ from gazenerf.cli.main import main
 from gazenerf.geometry import Gaze
 from gazenerf.head_model import load_head_model
 from gazenerf.head_model.interface import FACE
+from gazenerf.photographs.fine_tuning import Tuning
 from gazenerf.subjects import Subject
 
 
@@ -28,7 +29,7 @@ def folder(tmp_path_factory, write_person):
 
 
 def fit(folder, *words: str) -> int:
-    return main(["fit", str(folder / "me.png"), *words])
+    return main(["fit", str(folder / "me.png"), "--no-field", *words])
 
 
 def test_a_subject_an_overlay_and_a_json_file_are_written(folder, capsys):
@@ -43,6 +44,38 @@ def test_a_subject_an_overlay_and_a_json_file_are_written(folder, capsys):
     printed = " ".join(capsys.readouterr().out.split())
     assert "not fine-tuned" in printed
     assert fit(folder, "--landmarks", str(folder / "marks.npy"), "--out", str(out)) == 2, "nothing is replaced unasked"
+
+
+def test_the_field_is_fine_tuned_and_every_command_draws_the_person(folder, tmp_path, capsys, monkeypatch):
+    """A few steps of the small field: what is written and said, and that the subject alone makes the difference."""
+    monkeypatch.setattr("gazenerf.photographs.shape_fit.STEPS", 15)
+    monkeypatch.setattr("gazenerf.photographs.shape_fit.MORE_STEPS", 5)
+    short = Tuning("quick", around=1, eye_views=1, steps=24, check_every=12)
+    monkeypatch.setattr("gazenerf.photographs.make_fit.QUICK", short)
+    out = tmp_path / "me.safetensors"
+    words = ["--landmarks", str(folder / "marks.npy"), "--quick", "--checkpoint", "small", "--out", str(out)]
+    assert main(["fit", str(folder / "me.png"), *words]) == 0
+    assert "field in the face oval" in capsys.readouterr().out
+    assert {file.name for file in tmp_path.iterdir()} == {
+        "me.safetensors", "me.overlay.png", "me.json", "me.field.png"
+    }  # fmt: skip
+    assert Image.open(tmp_path / "me.field.png").size == (3 * 256, 3 * 256)
+    said = json.loads((tmp_path / "me.json").read_text())
+    assert said["fine_tuned"] and said["field"]["beside_psnr_db"] > said["field"]["beside_psnr_db_before"]
+    subject = Subject.load(out)
+    assert subject.stranger_note is None and subject.provenance["tuning"] == "quick"
+    assert out.stat().st_size < 12e6
+    views = ["--checkpoint", "small", "--size", "64", "--pitches", "0", "--yaws", "0", "--subject", str(out)]
+    assert main(["sheet", *views, "--out", str(tmp_path / "sheet.png")]) == 0
+    assert "stranger" not in capsys.readouterr().err
+    views[1] = "portrait"
+    assert main(["sheet", *views, "--out", str(tmp_path / "other.png")]) == 0
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if "fine-tuned" in line]
+    assert "personal weights are left out" in line
+
+
+def test_flags_of_the_field_need_one(folder, capsys):
+    assert "leave out --no-field" in refused(folder, capsys, "--quick")
 
 
 def refused(folder, capsys, *words: str) -> str:

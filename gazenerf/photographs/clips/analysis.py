@@ -17,7 +17,7 @@ from gazenerf.photographs.clips.person import Person, chosen_frames, fit_person,
 from gazenerf.photographs.clips.smoothing import smoothed
 from gazenerf.photographs.clips.work_folder import WorkFolder
 from gazenerf.photographs.correspondence import table_for
-from gazenerf.photographs.make_fit import FitOptions
+from gazenerf.photographs.fit_options import FitOptions
 from gazenerf.progress import Progress
 
 CHOSEN = 4

@@ -1,0 +1,154 @@
+"""The views that a field learns a person from: the photograph, and its teacher from around it at several gazes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import torch
+
+from gazenerf.data.rasterizer import Rasterizer
+from gazenerf.geometry import Camera, Gaze
+from gazenerf.photographs.appearance import STANDARD_LIPS, Seen, face_oval
+from gazenerf.photographs.teacher import Teacher, person_mask
+
+SHOWN = 2.8
+"""World units that the photograph's square picture shows at the head, about as much as captures do."""
+
+AROUND = (
+    (0, 0), (20, -6), (-20, 6), (10, 14), (-10, -14), (38, 8), (-38, -8), (60, 0), (-60, 6), (90, 0), (-90, 0),
+    (150, 10), (-150, 5),
+)  # fmt: skip
+"""Yaw and pitch of the teacher's cameras about the head, degrees from the photograph's."""
+
+HELD_OUT = ((-20, 0), (20, 0))
+"""The same of the views that tell when to stop."""
+
+GAZES = ((0, 0), (12, 22), (-12, -22), (-14, 18), (14, -18), (0, 30), (0, -30), (20, 0), (-20, 0))
+"""Pitch and yaw of the teacher's eyes, degrees."""
+
+FRONT = 7
+"""How many of the first cameras around see both eyes."""
+
+EYES_WINDOW = (0.375, 0.16)
+"""Their width and height, shares of a picture's side."""
+
+
+@dataclass(frozen=True)
+class Lesson:
+    """A picture that the field should draw.
+
+    Attributes:
+        camera, gaze: Of the picture.
+        image: (3, H, W) float32 sRGB.
+        mask: (H, W) float32, 0 where the picture says nothing.
+        own: Whether it is the photograph.
+    """
+
+    camera: Camera
+    gaze: Gaze
+    image: torch.Tensor
+    mask: torch.Tensor
+    own: bool = False
+
+
+def photograph_lesson(seen: Seen, gaze: Gaze, size: int) -> Lesson:
+    """The photograph in a square picture around the head.
+
+    Args:
+        seen: The photograph with the fitted head.
+        gaze: Fitted.
+        size: Of the picture.
+    """
+    camera = seen.camera
+    middle, _ = camera.project(np.array([0.0, -0.1, 0.0]))
+    side = max(1.0, SHOWN * camera.fx / float(np.linalg.norm(camera.position)))
+    low, scale = middle - 0.5 * side, size / side
+    square = replace(
+        camera, fx=camera.fx * scale, fy=camera.fy * scale, cx=(camera.cx - low[0]) * scale,
+        cy=(camera.cy - low[1]) * scale, width=size, height=size,
+    )  # fmt: skip
+    # pixel centres: square u + 0.5 lies at low + (u + 0.5) / scale of the photograph
+    place = np.array([[1.0 / scale, 0.0, low[0] + 0.5 / scale - 0.5], [0.0, 1.0 / scale, low[1] + 0.5 / scale - 0.5]])
+
+    def moved(array: np.ndarray, how: int) -> np.ndarray:
+        return cv2.warpAffine(array, place, (size, size), flags=how | cv2.WARP_INVERSE_MAP)
+
+    told = person_mask(seen) | (face_oval(seen.landmarks, seen.image.shape[:2]) & (seen.raster.parts > 0))
+    mask = moved(told.astype(np.float32), cv2.INTER_LINEAR)
+    return Lesson(square, gaze, _image(moved(seen.image, cv2.INTER_CUBIC)), torch.from_numpy(mask), own=True)
+
+
+def teacher_cameras(camera: Camera, size: int, around: tuple[tuple[int, int], ...]) -> list[Camera]:
+    """Cameras about the head, degrees of yaw and pitch from where a camera of a photograph is."""
+    x, y, z = camera.position
+    yaw, pitch = np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))
+    found = []
+    for more_yaw, more_pitch in np.deg2rad(around):
+        height = float(np.clip(pitch + more_pitch, -0.6, 0.6))
+        found.append(Camera.orbit(float(yaw + more_yaw), height, size=size))
+    return found
+
+
+def teacher_lesson(teacher: Teacher, renderer: Rasterizer, camera: Camera, gaze: Gaze) -> Lesson:
+    """The teacher seen by a camera; on its outline and between its lips, where it has no teeth, it says nothing."""
+    raster = teacher.view(renderer, camera, gaze)
+    inside = cv2.erode((raster.parts > 0).astype(np.float32), np.ones((5, 5), np.uint8), borderValue=0)
+    inside[_open_mouth(teacher, camera, gaze)] = 0.0
+    return Lesson(camera, gaze, _image(raster.image), torch.from_numpy(inside))
+
+
+def _open_mouth(teacher: Teacher, camera: Camera, gaze: Gaze) -> np.ndarray:
+    """(H, W) bool: between the lips."""
+    marks = teacher.mesh(gaze).landmarks
+    pixels, _ = camera.project(np.stack([marks[str(i)] for i in STANDARD_LIPS]).astype(np.float64))
+    mask = np.zeros((camera.height, camera.width), np.uint8)
+    cv2.fillPoly(mask, [np.round(pixels).astype(np.int32)], 1)
+    return mask > 0
+
+
+def eyes_camera(camera: Camera, centre: np.ndarray, size: tuple[int, int]) -> Camera:
+    """The window (width, height) of a camera's picture whose middle shows a point (3,)."""
+    pixel, _ = camera.project(centre)
+    left, top = (int(np.clip(round(at - 0.5 * side), 0, whole - side))
+                 for at, side, whole in zip(pixel, size, (camera.width, camera.height), strict=True))  # fmt: skip
+    return camera.cropped(left, top, *size)
+
+
+def _image(pixels: np.ndarray) -> torch.Tensor:
+    return torch.from_numpy(np.ascontiguousarray(pixels)).permute(2, 0, 1).float() / 255.0
+
+
+def lessons(
+    teacher: Teacher, seen: Seen, gaze: Gaze, size: int, step: int, around: int = len(AROUND), eyes: int = 20
+) -> Iterator[Lesson]:
+    """The photograph, the teacher from all sides, and its eyes at more gazes.
+
+    Args:
+        teacher: Of the person.
+        seen, gaze: The photograph with the fitted head.
+        size: Of the pictures.
+        step: Pixels of a feature pixel.
+        around: How many of the cameras around are used.
+        eyes: How many pictures show the eyes alone.
+    """
+    yield photograph_lesson(seen, gaze, size)
+    cameras = teacher_cameras(seen.camera, size, AROUND[:around])
+    with Rasterizer((size, size)) as renderer:
+        for number, camera in enumerate(cameras):
+            yield teacher_lesson(teacher, renderer, camera, Gaze.from_degrees(*GAZES[number % len(GAZES)]))
+    window = tuple(step * round(share * size / step) for share in EYES_WINDOW)
+    centre = teacher.mesh(gaze).eye_centres.mean(axis=0)
+    with Rasterizer((window[0], window[1])) as renderer:
+        for number in range(eyes):
+            camera = eyes_camera(cameras[number % min(FRONT, around)], centre, (window[0], window[1]))
+            yield teacher_lesson(teacher, renderer, camera, Gaze.from_degrees(*GAZES[number % len(GAZES)]))
+
+
+def held_out_lessons(teacher: Teacher, seen: Seen, size: int) -> Iterator[Lesson]:
+    """Views that are only looked at."""
+    with Rasterizer((size, size)) as renderer:
+        for number, camera in enumerate(teacher_cameras(seen.camera, size, HELD_OUT)):
+            yield teacher_lesson(teacher, renderer, camera, Gaze.from_degrees(*((6, -10), (-6, 10))[number]))
