@@ -11,8 +11,8 @@ import numpy as np
 from gazenerf.datasets.published import Sample
 from gazenerf.errors import UserError
 from gazenerf.photographs.detector import Detection, detect, photo_python
+from gazenerf.photographs.fit_options import PERSON
 from gazenerf.photographs.landmarks import SUFFIXES, FaceLandmarks, choose_face, read_labels, read_landmarks, read_mask
-from gazenerf.photographs.make_fit import PERSON
 
 SOURCES = ("mediapipe", "dataset")
 """What `--landmarks` takes beside a folder."""
