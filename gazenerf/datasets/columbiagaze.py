@@ -12,20 +12,18 @@ standard camera by the fit; the focal length is what the description of the came
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from gazenerf.datasets.published import Listed, Place, Sample
+from gazenerf.datasets.person_folders import PersonFolders
+from gazenerf.datasets.published import Listed, Sample
 from gazenerf.errors import UserError
 from gazenerf.photographs.normalisation import label_direction, level_head
 from gazenerf.photographs.picture import read_photograph
 
 PEOPLE = 56
-ALL = "all"
 NAME = re.compile(
     r"(?P<who>\d{4})_2m_(?P<head>-?\d{1,2})P_(?P<up>-?\d{1,2})V_(?P<side>-?\d{1,2})H\.jpe?g", re.IGNORECASE
 )
@@ -40,33 +38,16 @@ LONGEST_SIDE = 1728
 MAX_FILES = 10**4
 
 
-class ColumbiaGaze:
-    """Columbia Gaze's photographs.
-
-    Args:
-        place: Folder with `0001` to `0056`; the data set has no split.
-
-    Raises:
-        UserError: it has no such folders, or a split is asked for.
-    """
+class ColumbiaGaze(PersonFolders):
+    """Columbia Gaze's photographs."""
 
     layout = "columbiagaze-photographs"
+    title, version = "Columbia Gaze", VERSION
+    names = tuple(f"{number + 1:04d}" for number in range(PEOPLE))
 
-    def __init__(self, place: Place) -> None:
-        self._root, self.split = place.root, place.split or ALL
-        if self.split != ALL:
-            raise UserError(f"Columbia Gaze has no split {self.split!r}; leave --split out")
-        self.subjects = {f"{number + 1:04d}": number for number in range(PEOPLE)}
-        if not any((place.root / name).is_dir() for name in self.subjects):
-            raise UserError(f"{place.root} has no folder 0001 to {PEOPLE:04d}; {VERSION}")
-
-    @contextmanager
-    def open(self, subject: str) -> Iterator[ColumbiaSubject]:
-        """See `PublishedSet`."""
-        folder = self._root / subject
-        if not folder.is_dir():
-            raise UserError(f"{folder} does not exist; download it, or leave the subject out with --subjects")
-        yield ColumbiaSubject(folder)
+    def pictures(self, folder: Path) -> ColumbiaSubject:
+        """See `PersonFolders`."""
+        return ColumbiaSubject(folder)
 
 
 class ColumbiaSubject:

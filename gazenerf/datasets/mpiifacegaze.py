@@ -13,22 +13,20 @@ The gaze is from the face's centre to the target. There are no angles, hence no 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
 from gazenerf.datasets.labels import unit_direction
 from gazenerf.datasets.matlab import read_matrices
+from gazenerf.datasets.person_folders import PersonFolders
 from gazenerf.datasets.posed_photographs import HeadPose, PosedPhotograph, PublishedCamera, normalised_sample
-from gazenerf.datasets.published import Listed, Place, Sample
+from gazenerf.datasets.published import Listed, Sample
 from gazenerf.datasets.tables import Line, inside, read_table
 from gazenerf.errors import UserError
 from gazenerf.photographs.normalisation import FOCAL_LENGTHS
 
 PEOPLE = 15
-ALL = "all"
 COLUMNS = 28
 VERSION = (
     "give the folder MPIIFaceGaze with p00 to p14 as published (MPIIGaze and the normalised .mat files are others)"
@@ -36,33 +34,16 @@ VERSION = (
 MAX_CALIBRATION_BYTES = 2**20
 
 
-class MpiiFaceGaze:
-    """MPIIFaceGaze's photographs.
-
-    Args:
-        place: Folder with `p00` to `p14`; the data set has no split.
-
-    Raises:
-        UserError: it has no such folders, or a split is asked for.
-    """
+class MpiiFaceGaze(PersonFolders):
+    """MPIIFaceGaze's photographs."""
 
     layout = "mpiifacegaze-photographs"
+    title, version = "MPIIFaceGaze", VERSION
+    names = tuple(f"p{number:02d}" for number in range(PEOPLE))
 
-    def __init__(self, place: Place) -> None:
-        self._root, self.split = place.root, place.split or ALL
-        if self.split != ALL:
-            raise UserError(f"MPIIFaceGaze has no split {self.split!r}; leave --split out")
-        self.subjects = {f"p{number:02d}": number for number in range(PEOPLE)}
-        if not any((place.root / name).is_dir() for name in self.subjects):
-            raise UserError(f"{place.root} has no folder p00 to p{PEOPLE - 1:02d}; {VERSION}")
-
-    @contextmanager
-    def open(self, subject: str) -> Iterator[MpiiSubject]:
-        """See `PublishedSet`."""
-        folder = self._root / subject
-        if not folder.is_dir():
-            raise UserError(f"{folder} does not exist; download it, or leave the subject out with --subjects")
-        yield MpiiSubject(folder)
+    def pictures(self, folder: Path) -> MpiiSubject:
+        """See `PersonFolders`."""
+        return MpiiSubject(folder)
 
 
 class MpiiSubject:

@@ -120,6 +120,13 @@ class _Colours:
         return self.weight * ((1.0 + square).sqrt() - 1.0).sum(dim=1).mean()
 
 
+def nearest_pixels(points: np.ndarray, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """(V,) rows and columns of a picture (H, W) in which image coordinates (V, 2) lie; at its border those outside."""
+    height, width = shape
+    column, row = np.clip(np.floor(points).astype(int), 0, [width - 1, height - 1]).T
+    return row, column
+
+
 def seen_vertices(seen: Seen) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Where a photograph shows the vertices of the fitted head.
 
@@ -131,8 +138,7 @@ def seen_vertices(seen: Seen) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     pixels, _ = camera.project(mesh.vertices.astype(np.float64))
     away = camera.position - mesh.vertices
     distance = np.linalg.norm(away, axis=1)
-    height, width = seen.image.shape[:2]
-    column, row = np.clip(np.floor(pixels).astype(int), 0, [width - 1, height - 1]).T
+    row, column = nearest_pixels(pixels, seen.image.shape[:2])
     visible = np.abs(seen.raster.depth[row, column] - distance) < DEPTH_UNITS
     return pixels, (mesh.normals * away).sum(axis=1) / distance, visible
 
@@ -141,12 +147,11 @@ def _colours(model: HeadModel, seen: Seen) -> list[_Colours]:
     mesh = seen.mesh
     pixels, cosine, visible = seen_vertices(seen)
     visible &= cosine > FACING
-    height, width = seen.image.shape[:2]
-    column, row = np.clip(np.floor(pixels).astype(int), 0, [width - 1, height - 1]).T
+    row, column = nearest_pixels(pixels, seen.image.shape[:2])
     on_skin = np.zeros(len(mesh.vertices), bool)
     on_skin[mesh.part_faces(FACE)] = True
     smooth = cv2.GaussianBlur(seen.image, (0, 0), 0.7).astype(np.float32) / 255.0
-    skin, eyes = skin_mask(seen), eye_openings(seen.landmarks, (height, width)) & (seen.raster.parts > 1)
+    skin, eyes = skin_mask(seen), eye_openings(seen.landmarks, seen.image.shape[:2]) & (seen.raster.parts > 1)
     rng, found = np.random.default_rng(0), []
     for chosen, most, deviation, weight in (
         (visible & on_skin & skin[row, column], MOST_VERTICES, SKIN_DEVIATION, SKIN_WEIGHT),

@@ -20,7 +20,7 @@ from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model.eyes import IRIS_ANGLE, PUPIL_ANGLE
 from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, FACE, HeadMesh, HeadModel
 from gazenerf.head_model.shading import shade
-from gazenerf.photographs.appearance import Seen, eye_openings, seen_vertices
+from gazenerf.photographs.appearance import Seen, eye_openings, nearest_pixels, seen_vertices
 from gazenerf.subjects import Codes
 
 GRAZING, FRONTAL = 0.15, 0.45
@@ -107,8 +107,7 @@ def _told(seen: Seen, pixels: np.ndarray) -> np.ndarray:
 def _inside(mask: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     """(V,) bool: whether image coordinates (V, 2) lie in a mask (H, W)."""
     height, width = mask.shape
-    column, row = np.clip(np.floor(pixels).astype(int), 0, [width - 1, height - 1]).T
-    return mask[row, column] & ((pixels >= 0) & (pixels < [width, height])).all(axis=1)
+    return mask[nearest_pixels(pixels, mask.shape)] & ((pixels >= 0) & (pixels < [width, height])).all(axis=1)
 
 
 def _colour_eyes(differences: np.ndarray, wanted: np.ndarray, mesh: HeadMesh, gaze: Gaze, shown: np.ndarray) -> None:
