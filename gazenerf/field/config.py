@@ -40,7 +40,9 @@ class FieldConfig:
         geometry: Where densities come from: `density`, a layer of each stream as published, or `distance`, a network
             beside each stream that gives the signed distance from its surface (see `gazenerf.field.distance`).
         distance_width: Width of that network; distance_frequencies: octaves of its encoding; distance_template:
-            width of the network that moves points to their places on the mean head first.
+            width of the network that moves points to their places on the mean head first; template_frequencies,
+            template_fall: octaves of that network's encoding, and by how much each has less amplitude than the
+            one before.
         surface_spread: Scale, world units, over which its density rises at the surface.
         features_at: Where features are queried: at `points`, as published, or, of fields of distances, at their
             places on the `template`, where brows, lips and irises lie in the same place whoever it is.
@@ -80,6 +82,8 @@ class FieldConfig:
     distance_width: int = 128
     distance_frequencies: int = 9
     distance_template: int = 64
+    template_frequencies: int = 5
+    template_fall: float = 2.0
     surface_spread: float = 0.01
     features_at: str = "points"
     metres_per_unit: float = 0.1
@@ -109,6 +113,7 @@ class FieldConfig:
         need(0 < self.skip_after < self.layers <= 64, "skip_after must lie inside the layers")
         need(0 < self.distance_width <= MAX_CHANNELS and 0 < self.distance_frequencies <= 32, "distance out of range")
         need(0 < self.distance_template <= MAX_CHANNELS, "distance_template out of range")
+        need(0 < self.template_frequencies <= 32, "template_frequencies out of range")
         need(self.geometry != "distance" or self.streams == "two", "distances need two streams")
         need(self.features_at != "template" or self.geometry == "distance", "places on a template need distances")
         need(0 < self.frequencies <= 32 and 1 < self.samples <= MAX_SAMPLES, "frequencies or samples out of range")
@@ -189,6 +194,7 @@ _RANGES: dict[str, tuple[float, float]] = {
     "z_far": (-1e3, 1e3),
     "shell": (1e-6, 1e3),
     "surface_spread": (1e-5, 1.0),
+    "template_fall": (1.0, 2.0),
     "ray_offset": (-1.0, 2.0),
     "input_gains": (1e-6, 1e6),
     "eyes_box": (-1e3, 1e3),

@@ -29,8 +29,8 @@ OCTAVE_GAIN, OCTAVE_FALL = 1.5, 1.3
 CODE_GAINS = (0.5, 1.0, 1.5)
 """Factors on identity, expression and gaze label as they enter."""
 
-MOVING_LAYERS, MOVING_FREQUENCIES, MOVING_FALL = 3, 5, 2.0
-"""Hidden layers that move points to the template, octaves of their encoding, and by how much each falls."""
+MOVING_LAYERS = 3
+"""Hidden layers that move points to the template."""
 
 MOVING_PASSES = 2
 """How often a point's place on the template is corrected: the move is known where it ends, not where it begins."""
@@ -56,9 +56,13 @@ def laplace_density(distance: torch.Tensor, spread: float) -> torch.Tensor:
 
 def scaled_encoding(points: torch.Tensor, frequencies: int, fall: float) -> torch.Tensor:
     """`positional_encoding` of points (..., 3) whose octaves have amplitudes that fall by a factor each."""
-    octaves = torch.arange(frequencies, device=points.device).repeat_interleave(6)
-    gains = torch.cat([points.new_ones(3), OCTAVE_GAIN * fall**-octaves])
-    return positional_encoding(points, frequencies) * gains
+    return positional_encoding(points, frequencies) * octave_gains(frequencies, fall).to(points)
+
+
+def octave_gains(frequencies: int, fall: float) -> torch.Tensor:
+    """(3 + 6 N,) factors on a point and on the octaves of its encoding, each a factor `fall` below the one before."""
+    octaves = torch.arange(frequencies).repeat_interleave(6)
+    return torch.cat([torch.ones(3), OCTAVE_GAIN * fall**-octaves])
 
 
 class TemplateMove(nn.Module):
@@ -76,7 +80,8 @@ class TemplateMove(nn.Module):
     def __init__(self, config: FieldConfig, sees_gaze: bool) -> None:
         super().__init__()
         width = config.distance_template
-        sizes = [3 + 6 * MOVING_FREQUENCIES, *[width] * MOVING_LAYERS]
+        self.config = config
+        sizes = [3 + 6 * config.template_frequencies, *[width] * MOVING_LAYERS]
         self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in itertools.pairwise(sizes))
         learned = nn.Linear(2, GAZE_WIDTH), nn.SiLU(), nn.Linear(GAZE_WIDTH, GAZE_CODES)
         self.gaze = nn.Sequential(*learned) if sees_gaze else None
@@ -96,7 +101,7 @@ class TemplateMove(nn.Module):
         """Places (B, N, 3) on the template of points (B, N, 3), world units; matrices of `condition`."""
         places = points
         for _ in range(MOVING_PASSES):
-            hidden = scaled_encoding(places, MOVING_FREQUENCIES, MOVING_FALL)
+            hidden = scaled_encoding(places, self.config.template_frequencies, self.config.template_fall)
             for layer in self.layers:
                 hidden = F.silu(layer(hidden))
             places = points + hidden @ matrix.mT

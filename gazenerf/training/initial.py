@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 
+import torch
+
 from gazenerf.errors import UserError
 from gazenerf.field.config import FieldConfig
+from gazenerf.field.distance import octave_gains
 from gazenerf.field.model import TwoStreamField
 
 _FREE = {
@@ -22,11 +25,15 @@ _FREE = {
 """Settings that mean nothing to weights: where they are sampled, what they saw, what they began as, how sharply a
 surface of distances is drawn."""
 
+_TEMPLATE = ("template_frequencies", "template_fall")
+"""Settings of the encoding of points that are moved to the template, which may become finer."""
+
 _GEOMETRY = {
     "geometry",
     "distance_width",
     "distance_frequencies",
     "distance_template",
+    *_TEMPLATE,
     "density_activation",
 }
 """Settings that may differ where a field of densities is to go on with its features on a surface of distances."""
@@ -35,7 +42,9 @@ _GEOMETRY = {
 def starting_field(config: FieldConfig, initial: TwoStreamField | None = None) -> TwoStreamField:
     """A field of this configuration with fresh weights, or with those of `initial`.
 
-    A field of geometry `distance` takes the features of one of geometry `density`, and fresh distances.
+    A field of geometry `distance` takes the features of one of geometry `density`, and fresh distances. Where the
+    network that moves points to the template has more octaves than in `initial`, or others' amplitudes, it begins
+    as the same function.
 
     Raises:
         UserError: `initial` is another network, or one whose weights mean something else.
@@ -45,7 +54,9 @@ def starting_field(config: FieldConfig, initial: TwoStreamField | None = None) -
         return field
     ours, theirs = config.to_dict(), initial.config.to_dict()
     on_distances = config.geometry == "distance" and initial.config.geometry == "density"
-    free = _FREE | _GEOMETRY if on_distances else _FREE
+    free = _FREE | (_GEOMETRY if on_distances else set())
+    finer = not on_distances and ours["template_frequencies"] >= theirs["template_frequencies"]
+    free = free | set(_TEMPLATE) if finer else free
     differing = {name: theirs[name] for name in ours if name not in free and ours[name] != theirs[name]}
     if differing:
         there = ", ".join(f"{name} {json.dumps(value)} where it needs {json.dumps(ours[name])}"
@@ -58,5 +69,21 @@ def starting_field(config: FieldConfig, initial: TwoStreamField | None = None) -
     if on_distances:
         kept = {name: value for name, value in weights.items() if ".density." not in name}
         weights = {**{name: value for name, value in field.state_dict().items() if ".distance." in name}, **kept}
+    if finer and config.geometry == "distance":
+        weights = {name: _finer(value, config, initial.config) if name.endswith(_MOVE) else value
+                   for name, value in weights.items()}  # fmt: skip
     field.load_state_dict(weights)
     return field
+
+
+_MOVE = ".distance.move.layers.0.weight"
+"""How the weights end whose inputs are the encoding of points that are moved to the template."""
+
+
+def _finer(weight: torch.Tensor, ours: FieldConfig, theirs: FieldConfig) -> torch.Tensor:
+    """The same function of a point by weights (W, .) whose inputs are the encoding of another configuration."""
+    before = octave_gains(theirs.template_frequencies, theirs.template_fall).to(weight)
+    after = octave_gains(ours.template_frequencies, ours.template_fall).to(weight)
+    wider = weight.new_zeros(len(weight), len(after))
+    wider[:, : len(before)] = weight * before / after[: len(before)]
+    return wider

@@ -11,8 +11,6 @@ from scipy import stats
 
 from gazenerf.checkpoints import load_field, save_field
 from gazenerf.field.distance import (
-    MOVING_FALL,
-    MOVING_FREQUENCIES,
     DistanceNetwork,
     laplace_density,
     scaled_encoding,
@@ -98,7 +96,7 @@ def test_features_are_those_of_the_place_on_the_template() -> None:
         for codes in (person, other):
             condition = stream.condition(codes, look, label)
             move = stream.distance.move  # type: ignore[union-attr]
-            hidden = scaled_encoding(places, MOVING_FREQUENCIES, MOVING_FALL)
+            hidden = scaled_encoding(places, config.template_frequencies, config.template_fall)
             for layer in move.layers:
                 hidden = torch.nn.functional.silu(layer(hidden))
             points = places - hidden @ condition.distance.move.mT  # type: ignore[union-attr]

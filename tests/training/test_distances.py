@@ -42,6 +42,25 @@ def few_people_are_checked(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(distances_module, "CHECKED", 1)
 
 
+@pytest.mark.parametrize("part", ["face", "eyes"])
+def test_a_move_with_finer_octaves_begins_as_the_same_function(part: str) -> None:
+    coarse = fresh_field()
+    fine = starting_field(replace(FIELD, template_frequencies=7, template_fall=1.4), coarse)
+    draw = torch.Generator().manual_seed(1)
+    points = torch.rand(1, 200, 3, generator=draw) - 0.5
+    codes = torch.randn(1, FIELD.identity + FIELD.expression, generator=draw)
+    gaze = torch.tensor([[0.2, -0.3]])
+
+    def places(field: TwoStreamField) -> torch.Tensor:
+        network = distances_module.distance_network(field, part)
+        return network.places(points, network.condition(codes, gaze))
+
+    assert (places(coarse) - points).abs().max() > 1e-3
+    torch.testing.assert_close(places(fine), places(coarse), rtol=0.0, atol=1e-6)
+    with pytest.raises(UserError, match="template_frequencies 7"):
+        starting_field(FIELD, fine)
+
+
 def test_surfaces_come_nearer_to_peoples(tmp_path: Path) -> None:
     field = fresh_field()
     # those that are learned from: two say nothing of others
