@@ -21,7 +21,8 @@ class PersonalWeights:
     Attributes:
         field_hash: `TwoStreamField.weights_hash` of the field that they change; they mean nothing to another.
         changes: Name of a weight to what is added to it, float16 in the weight's shape. Planes of features that the
-            field lacks (`streams.face.plane.values` and `.mix`, see `gazenerf.field.plane`) are given whole.
+            field lacks (`streams.face.plane.values` and `.mix`, see `gazenerf.field.plane`) and detail of the skin
+            (`detail.values`, see `gazenerf.field.detail`) are given whole.
 
     Raises:
         ValueError: not float16, not finite, too many or too large.

@@ -46,6 +46,8 @@ class FieldConfig:
         surface_spread: Scale, world units, over which its density rises at the surface.
         features_at: Where features are queried: at `points`, as published, or, of fields of distances, at their
             places on the `template`, where brows, lips and irises lie in the same place whoever it is.
+        detail: Maps of the skin's detail that texture codes mix, their rows and columns; 0, 0, 0 of fields without any
+            (see `gazenerf.field.detail`).
         metres_per_unit: Size of a world unit.
         sampler: How pictures are sampled: `slabs` (published) or `guided` (found surface, then a shell).
         shell: Half width of the guided shell, world units; shell_samples: its samples per ray.
@@ -86,6 +88,7 @@ class FieldConfig:
     template_fall: float = 2.0
     surface_spread: float = 0.01
     features_at: str = "points"
+    detail: tuple[int, int, int] = (0, 0, 0)
     metres_per_unit: float = 0.1
     sampler: str = "slabs"
     shell: float = 0.25
@@ -115,6 +118,8 @@ class FieldConfig:
         need(0 < self.distance_template <= MAX_CHANNELS, "distance_template out of range")
         need(0 < self.template_frequencies <= 32, "template_frequencies out of range")
         need(self.geometry != "distance" or self.streams == "two", "distances need two streams")
+        need(len(self.detail) == 3 and all(0 <= side <= MAX_SIZE for side in self.detail), "detail out of range")
+        need(all(self.detail) or not any(self.detail), "detail has maps, rows and columns, or none of them")
         need(self.features_at != "template" or self.geometry == "distance", "places on a template need distances")
         need(0 < self.frequencies <= 32 and 1 < self.samples <= MAX_SAMPLES, "frequencies or samples out of range")
         need(1 < self.shell_samples <= MAX_SAMPLES and self.shell > 0, "shell out of range")
@@ -174,7 +179,8 @@ class FieldConfig:
         for name, value in data.items():
             default = known[name].default
             if isinstance(default, tuple) or name in ("trained_gaze_range", "eyes_box"):
-                value = None if value is None else tuple(float(item) for item in value)
+                number = int if name == "detail" else float
+                value = None if value is None else tuple(number(item) for item in value)
             elif isinstance(default, bool):
                 value = bool(value)
             elif isinstance(default, (int, float, str)):

@@ -11,6 +11,7 @@ from torch import nn
 
 from gazenerf.field.compositing import StreamSamples, composite_stream, composite_streams
 from gazenerf.field.config import FieldConfig
+from gazenerf.field.detail import SurfaceDetail, TextureDetail
 from gazenerf.field.eye_motion import EYE_MOTIONS, EyeCentres, EyePose
 from gazenerf.field.neural_renderer import NeuralRenderer
 from gazenerf.field.streams import Stream, StreamCondition
@@ -26,6 +27,8 @@ class TwoStreamField(nn.Module):
         config: Sizes and conventions.
         streams: `face` and `eyes`, or `head` alone.
         renderer: Shared by all pictures.
+        texture_detail: What texture codes say of the skin beyond the streams, in fields that have it; else None.
+        detail: What is added to pictures of the face, in fields that were fine-tuned to one person; else None.
         eye_centres: Where the eyeballs turn, of fields whose eyes turn rigidly.
         about: Provenance stored with the weights, JSON-able.
         weights_hash: Names the weights; empty for a field that was never saved.
@@ -39,6 +42,8 @@ class TwoStreamField(nn.Module):
         self.streams = nn.ModuleDict({name: Stream(config, name) for name in names})
         self.renderer = NeuralRenderer(config)
         self.eye_centres = EyeCentres(config.identity) if config.eye_motion == "rigid" else None
+        self.texture_detail = TextureDetail(config) if any(config.detail) else None
+        self.detail: SurfaceDetail | None = None
         self.about: dict[str, Any] = {}
         self.weights_hash = ""
         self.untuned: tuple[TwoStreamField, ...] = ()  # a module in an attribute of its own would be a part of this one

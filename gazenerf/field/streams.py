@@ -258,6 +258,14 @@ class Stream(nn.Module):
             feature = feature + self.plane.at(coordinates).to(feature.dtype)
         return _relu(feature)
 
+    def places(self, points: torch.Tensor, condition: StreamCondition) -> torch.Tensor:
+        """Where features are asked for at points (B, N, 3): there, or at their places (B, N, 3) on the template."""
+        if condition.pose is not None:
+            points = condition.pose.straight_ahead(points)
+        if self.distance is None or condition.distance is None or self.config.features_at != "template":
+            return points
+        return self.distance.places(points, condition.distance)
+
     def signed_distance(self, points: torch.Tensor, condition: StreamCondition) -> torch.Tensor:
         """Distances (B, ...) float32 from the surface at points (B, ..., 3), world units, negative inside.
 

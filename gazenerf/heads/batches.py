@@ -17,6 +17,7 @@ from gazenerf.heads.cutouts import cut_outs_of
 from gazenerf.heads.feature_map import FeatureGrid, RayFeatures, Window, add_behind, to_picture
 from gazenerf.heads.interface import BoundField, GeometryView, RenderedView
 from gazenerf.heads.render import composite_rays, is_hazy
+from gazenerf.heads.surface_detail import with_detail
 
 if TYPE_CHECKING:
     from gazenerf.heads.bound import BoundHead
@@ -198,7 +199,7 @@ def draw_rays(head: Head, seen_by: PictureRays, cameras: Sequence[Camera], cutou
             return None
         found = seen_by.add_behind(front, rays)
         seen = grid.smooth_outline(seen_by.composited, background, found, cut=True)
-        uncut = head.all_uncut(seen, grid.shape)
+        uncut = with_detail(head, head.all_uncut(seen, grid.shape), grid, seen)
         pictures = head.cut(uncut, seen, grid.shape)
         alone = cut_outs_of(seen, uncut, head.picture_behind(*grid.shape), grid.shape) if cutouts else None
     images = [to_picture(picture, camera) for picture, camera in zip(pictures, cameras, strict=True)]

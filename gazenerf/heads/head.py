@@ -15,6 +15,7 @@ import torch
 
 from gazenerf.devices import choose_device, is_out_of_memory, points_at_once, product_dtype, release_memory
 from gazenerf.errors import UserError
+from gazenerf.field.detail import SurfaceDetail
 from gazenerf.field.model import TwoStreamField
 from gazenerf.field.streams import StreamCondition
 from gazenerf.geometry import Gaze
@@ -107,6 +108,8 @@ class Head:
         self._grids: dict[str, Occupancy] | None = None
         self._upsample: Upsampler | None = None
         self._background: np.ndarray | None = None
+        self._straight: dict[str, StreamCondition] | None = None
+        self._texture_detail: SurfaceDetail | None = None
         self._behind: dict[tuple[int, int], torch.Tensor] = {}
         self._told_dense = self._told_memory = False
         self.frames = FrameBatches(self, draw_guided)
@@ -231,11 +234,33 @@ class Head:
             label = self.field.label(torch.from_numpy(gaze.label)[None].to(self.device))
             return label, {name: self.field.condition(name, shape, appearance, label) for name in self.field.streams}
 
+    @property
+    def straight(self) -> dict[str, StreamCondition]:
+        """`conditions` while the eyes look straight ahead."""
+        with self._lock:
+            self._refresh()
+            if self._straight is None:
+                self._straight = self.conditions(Gaze())[1]
+            return self._straight
+
+    @property
+    def texture_detail(self) -> SurfaceDetail | None:
+        """The detail of the subject's texture code; None where the field has none."""
+        with self._lock:
+            self._refresh()
+            whole = self.field.texture_detail
+            if self._texture_detail is None and whole is not None:
+                texture = torch.from_numpy(np.asarray(self.subject.codes.texture, np.float32)).to(self.device)
+                with self.exactly():
+                    self._texture_detail = whole.of(texture)
+            return self._texture_detail
+
     def _refresh(self) -> None:
         """Forget what was found for other weights; the lock is held."""
         version = self.field.version
         if version != self._found_for:
-            self._grids = self._upsample = self._background = None
+            self._grids = self._upsample = self._background = self._straight = None
+            self._texture_detail = None
             self._behind = {}
             self._found_for = version
 

@@ -8,11 +8,15 @@ from collections.abc import Mapping
 import torch
 
 from gazenerf.errors import UserError
+from gazenerf.field.detail import SurfaceDetail
 from gazenerf.field.model import TwoStreamField
 from gazenerf.field.plane import FeaturePlane
 from gazenerf.subjects import Subject
 
 PLANE = ("values", "mix")
+
+DETAIL = "detail.values"
+"""Name of the values of a person's `SurfaceDetail`."""
 
 
 def personal_field(field: TwoStreamField, subject: Subject) -> TwoStreamField:
@@ -60,7 +64,7 @@ def with_changes(field: TwoStreamField, changes: Mapping[str, torch.Tensor]) -> 
     weights = field.state_dict()
     planes = {f"streams.{name}.plane.{part}" for name in field.streams for part in PLANE}
     for name, change in changes.items():
-        if name in planes:
+        if name in planes or name == DETAIL:
             continue
         if name not in weights:
             raise ValueError(f"it has no weights {name}")
@@ -72,8 +76,21 @@ def with_changes(field: TwoStreamField, changes: Mapping[str, torch.Tensor]) -> 
     tuned.load_state_dict(weights, assign=True)
     for name in field.streams:
         tuned.stream(name).plane = _plane(changes, name, field.config.hidden // 2)
+    tuned.texture_detail, tuned.detail = None, _detail(changes)
     tuned.about, tuned.weights_hash, tuned.untuned = field.about, field.weights_hash, (field,)
     return tuned.eval().requires_grad_(False)
+
+
+def _detail(changes: Mapping[str, torch.Tensor]) -> SurfaceDetail | None:
+    """The detail of the skin; None where there is none.
+
+    Raises:
+        ValueError: it has no three channels.
+    """
+    values = changes.get(DETAIL)
+    if values is not None and (values.dim() != 3 or len(values) != 3 or 0 in values.shape):
+        raise ValueError(f"{DETAIL} has the shape {tuple(values.shape)}")
+    return None if values is None else SurfaceDetail(values)
 
 
 def _plane(changes: Mapping[str, torch.Tensor], stream: str, width: int) -> FeaturePlane | None:

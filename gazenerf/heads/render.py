@@ -15,6 +15,7 @@ from gazenerf.geometry import Camera, camera_rays
 from gazenerf.heads.cutouts import cut_outs_of
 from gazenerf.heads.feature_map import FeatureGrid, RayFeatures, Window, add_behind, to_picture
 from gazenerf.heads.interface import OPACITY_FLOOR, GeometryView, Part, RenderedView
+from gazenerf.heads.surface_detail import with_detail
 
 if TYPE_CHECKING:
     from gazenerf.heads.bound import BoundHead
@@ -54,6 +55,8 @@ def render_parts(bound: BoundHead, camera: Camera, parts: tuple[Part, ...], cuto
             seen = _part_features(bound, grid, background, part, cache)
             turned = part != "face" and (len(bound.streams_of(part)) == 1 or config.merge == "max")
             uncut = bound.head.uncut(seen, grid.shape, turned)
+            if part != "eyes":
+                uncut = with_detail(bound.head, uncut, grid, seen)
             picture = uncut if turned else bound.head.cut(uncut, seen, grid.shape)
             if cutouts:
                 alone[part] = to_picture(_cut_out(bound, grid, seen, background, part, uncut), camera)
@@ -77,6 +80,8 @@ def _cut_out(
     if seen.matte is None and seen.outline is not None:  # mixed with what is behind it in the picture, not in a cutout
         seen = grid.with_matte(seen, behind)
         uncut = head.uncut(seen, grid.shape, turned=True)
+        if part != "eyes":
+            uncut = with_detail(head, uncut, grid, seen)
     picture_behind = head.upsample(behind.T.reshape(1, -1, *grid.shape))[0] if seen.matte is None else uncut
     return cut_outs_of(seen, uncut, picture_behind, grid.shape)[0]
 

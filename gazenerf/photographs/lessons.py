@@ -63,22 +63,33 @@ def photograph_lesson(seen: Seen, gaze: Gaze, size: int) -> Lesson:
         size: Of the picture.
     """
     camera = seen.camera
-    middle, _ = camera.project(np.array([0.0, -0.1, 0.0]))
-    side = max(1.0, SHOWN * camera.fx / float(np.linalg.norm(camera.position)))
-    low, scale = middle - 0.5 * side, size / side
+    low, side = _square(seen)
+    scale = size / side
     square = replace(
         camera, fx=camera.fx * scale, fy=camera.fy * scale, cx=(camera.cx - low[0]) * scale,
         cy=(camera.cy - low[1]) * scale, width=size, height=size,
     )  # fmt: skip
-    # pixel centres: square u + 0.5 lies at low + (u + 0.5) / scale of the photograph
-    place = np.array([[1.0 / scale, 0.0, low[0] + 0.5 / scale - 0.5], [0.0, 1.0 / scale, low[1] + 0.5 / scale - 0.5]])
-
-    def moved(array: np.ndarray, how: int) -> np.ndarray:
-        return cv2.warpAffine(array, place, (size, size), flags=how | cv2.WARP_INVERSE_MAP)
-
     told = person_mask(seen) | (face_oval(seen.landmarks, seen.image.shape[:2]) & (seen.raster.parts > 0))
-    mask = moved(told.astype(np.float32), cv2.INTER_LINEAR)
-    return Lesson(square, gaze, _image(moved(seen.image, cv2.INTER_CUBIC)), torch.from_numpy(mask), own=True)
+    mask = moved_to_square(seen, told.astype(np.float32), size, cv2.INTER_LINEAR)
+    picture = moved_to_square(seen, seen.image, size, cv2.INTER_CUBIC)
+    return Lesson(square, gaze, _image(picture), torch.from_numpy(mask), own=True)
+
+
+def _square(seen: Seen) -> tuple[np.ndarray, float]:
+    """Lower corner (2,) and side, pixels of the photograph, of the square around the head."""
+    camera = seen.camera
+    middle, _ = camera.project(np.array([0.0, -0.1, 0.0]))
+    side = max(1.0, SHOWN * camera.fx / float(np.linalg.norm(camera.position)))
+    return middle - 0.5 * side, side
+
+
+def moved_to_square(seen: Seen, array: np.ndarray, size: int, how: int) -> np.ndarray:
+    """What belongs to a photograph's pixels, for those of its square picture; `how` is OpenCV's interpolation."""
+    low, side = _square(seen)
+    pixel = side / size
+    # pixel centres: square u + 0.5 lies at low + (u + 0.5) * pixel of the photograph
+    place = np.array([[pixel, 0.0, low[0] + 0.5 * pixel - 0.5], [0.0, pixel, low[1] + 0.5 * pixel - 0.5]])
+    return cv2.warpAffine(array, place, (size, size), flags=how | cv2.WARP_INVERSE_MAP)
 
 
 def teacher_cameras(camera: Camera, size: int, around: tuple[tuple[int, int], ...]) -> list[Camera]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,9 +13,13 @@ import numpy as np
 from gazenerf.field.model import TwoStreamField
 from gazenerf.head_model.interface import HeadModel
 from gazenerf.heads import Head
-from gazenerf.photographs.fine_tuning import Tuned, Tuning, check_field, fine_tune
+from gazenerf.heads.personal import DETAIL
+from gazenerf.personal_weights import PersonalWeights
+from gazenerf.photographs.appearance import Seen
+from gazenerf.photographs.fine_tuning import Tuning, check_field, fine_tune
 from gazenerf.photographs.fit import FittedPhotograph, face_psnr
 from gazenerf.photographs.lessons import Lesson, held_out_lessons, lessons
+from gazenerf.photographs.skin_detail import photograph_detail
 from gazenerf.photographs.teacher import make_teacher
 from gazenerf.progress import Progress, silent
 from gazenerf.subjects import Subject
@@ -70,10 +74,33 @@ def fit_field(
     held = list(held_out_lessons(teacher, seen, size))
     tuned = fine_tune(field, subject, learned, held, tuning, progress, look)
     about = subject.provenance | {"fine_tuned": True, "fine_tuned_field": field.weights_hash, "tuning": tuning.name}
-    better = replace(subject, personal=tuned.personal, provenance=about)
-    before, after = (Head(field, one, device="cpu", precision="float32") for one in (subject, better))
+    better = _with_detail(field, replace(subject, personal=tuned.personal, provenance=about), seen)
+    before, after = (_head(field, one) for one in (subject, better))
     pictures = [_compared(before, after, item) for item in (learned[0], *held)]
-    return PersonField(better, _measured(fitted, tuned, before, after), pictures)
+    beside = [_decibels(held, [row[i] for row in pictures[1:]]) for i in (1, 2)]
+    return PersonField(better, _measured(fitted, tuned.steps, tuned.seconds, (before, after), beside), pictures)
+
+
+def _head(field: TwoStreamField, subject: Subject) -> Head:
+    return Head(field, subject, device="cpu", precision="float32")
+
+
+def _with_detail(field: TwoStreamField, subject: Subject, seen: Seen) -> Subject:
+    """A fine-tuned subject with the detail of its photograph."""
+    personal = subject.personal
+    assert personal is not None
+    detail = photograph_detail(_head(field, subject), seen, subject.gaze)
+    return replace(subject, personal=PersonalWeights(personal.field_hash, {**personal.changes, DETAIL: detail}))
+
+
+def _decibels(wanted: Sequence[Lesson], drawn: Sequence[np.ndarray]) -> float:
+    """Decibels inside the masks of lessons, of all their pixels together."""
+    error = count = 0.0
+    for lesson, picture in zip(wanted, drawn, strict=True):
+        mask = lesson.mask.numpy()[..., None]
+        error += float((np.square(picture - lesson.image.permute(1, 2, 0).numpy()) * mask).sum())
+        count += 3.0 * float(mask.sum())
+    return -10.0 * math.log10(max(error / max(count, 1.0), 1e-12))
 
 
 def _compared(before: Head, after: Head, item: Lesson) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -92,16 +119,20 @@ def drawn_as_photograph(head: Head, fitted: FittedPhotograph) -> np.ndarray:
     return np.round(255.0 * np.clip(small, 0.0, 1.0)).astype(np.uint8)
 
 
-def _measured(fitted: FittedPhotograph, tuned: Tuned, before: Head, after: Head) -> dict[str, Any]:
+def _measured(
+    fitted: FittedPhotograph, steps: int, seconds: float, heads: tuple[Head, Head], beside: list[float]
+) -> dict[str, Any]:
+    before, after = heads
+
     def photograph(head: Head) -> float | None:
         return face_psnr(fitted.seen, drawn_as_photograph(head, fitted))
 
     return {
         "face_psnr_db_before": photograph(before),
         "face_psnr_db": photograph(after),
-        "beside_psnr_db_before": tuned.before,
-        "beside_psnr_db": tuned.after,
-        "steps": tuned.steps,
-        "seconds": tuned.seconds,
-        "bytes": tuned.personal.nbytes,
+        "beside_psnr_db_before": beside[0],
+        "beside_psnr_db": beside[1],
+        "steps": steps,
+        "seconds": seconds,
+        "bytes": after.subject.personal.nbytes if after.subject.personal else 0,
     }

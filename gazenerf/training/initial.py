@@ -44,7 +44,7 @@ def starting_field(config: FieldConfig, initial: TwoStreamField | None = None) -
 
     A field of geometry `distance` takes the features of one of geometry `density`, and fresh distances. Where the
     network that moves points to the template has more octaves than in `initial`, or others' amplitudes, it begins
-    as the same function.
+    as the same function. Detail of the skin by texture code is left out unless the configuration has it.
 
     Raises:
         UserError: `initial` is another network, or one whose weights mean something else.
@@ -57,6 +57,8 @@ def starting_field(config: FieldConfig, initial: TwoStreamField | None = None) -
     free = _FREE | (_GEOMETRY if on_distances else set())
     finer = not on_distances and ours["template_frequencies"] >= theirs["template_frequencies"]
     free = free | set(_TEMPLATE) if finer else free
+    if not any(config.detail):  # colours that are learned further leave nothing that detail still fits
+        free = free | {"detail"}
     differing = {name: theirs[name] for name in ours if name not in free and ours[name] != theirs[name]}
     if differing:
         there = ", ".join(f"{name} {json.dumps(value)} where it needs {json.dumps(ours[name])}"
@@ -65,7 +67,8 @@ def starting_field(config: FieldConfig, initial: TwoStreamField | None = None) -
             f"the checkpoint of --from does not fit the preset: it has {there}; choose the --preset it was trained "
             "with, or captures of its size"
         )
-    weights = initial.state_dict()
+    weights = {name: value for name, value in initial.state_dict().items()
+               if any(config.detail) or not name.startswith("texture_detail.")}  # fmt: skip
     if on_distances:
         kept = {name: value for name, value in weights.items() if ".density." not in name}
         weights = {**{name: value for name, value in field.state_dict().items() if ".distance." in name}, **kept}

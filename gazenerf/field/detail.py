@@ -1,0 +1,67 @@
+"""Detail of the skin, finer than a feature map holds, which lies on the surface of a field and is added to pictures."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import nn
+
+from gazenerf.field.config import FieldConfig
+from gazenerf.field.plane import plane_coordinates
+
+EXTENT = (90.0, 67.5)
+"""Degrees of azimuth and of elevation on either side of where the face looks that detail covers."""
+
+DARK = 0.03
+"""sRGB that is added before logarithms are taken, so that black has one."""
+
+
+class SurfaceDetail(nn.Module):
+    """Three values by direction from the world's origin, which lies inside the head.
+
+    Columns are azimuths, rows elevations, both within `EXTENT`; see `FeaturePlane`. Values are interpolated between
+    their centres; beyond the extent they are 0.
+
+    Args:
+        values: (3, H, W) float32.
+    """
+
+    def __init__(self, values: torch.Tensor) -> None:
+        super().__init__()
+        self.values = nn.Parameter(values)
+
+    def forward(self, places: torch.Tensor) -> torch.Tensor:
+        """The values (B, 3, H', W') at places (B, H', W', 3) of the surface, world units."""
+        values = self.values.expand(len(places), -1, -1, -1)
+        return F.grid_sample(values, detail_coordinates(places), mode="bilinear", align_corners=False)
+
+
+class TextureDetail(nn.Module):
+    """What texture codes say of the skin: detail that is linear in the codes, of low rank.
+
+    Logarithms of colour ratios: a picture whose sRGB is c becomes (c + `DARK`) exp(values) - `DARK`, in any light.
+
+    Args:
+        config: Sizes.
+
+    Attributes:
+        maps: (R, H, W), each a map over directions.
+        mix: (3, 1 + T, R): how much of each map the mean and every texture code give to each channel.
+    """
+
+    def __init__(self, config: FieldConfig) -> None:
+        super().__init__()
+        rank, rows, columns = config.detail
+        self.maps = nn.Parameter(torch.zeros(rank, rows, columns))
+        self.mix = nn.Parameter(torch.zeros(3, 1 + config.texture, rank))
+
+    def of(self, texture: torch.Tensor) -> SurfaceDetail:
+        """The detail of a texture code (T,)."""
+        weights = self.mix[:, 0] + torch.einsum("ctr,t->cr", self.mix[:, 1:], texture)
+        return SurfaceDetail(torch.einsum("cr,rhw->chw", weights, self.maps).contiguous()).requires_grad_(False)
+
+
+def detail_coordinates(places: torch.Tensor) -> torch.Tensor:
+    """(..., 2) azimuth and elevation, -1 to 1 within `EXTENT`, of places (..., 3)."""
+    whole = torch.tensor([180.0 / EXTENT[0], 90.0 / EXTENT[1]], device=places.device)
+    return plane_coordinates(places) * whole
