@@ -97,7 +97,8 @@ def learn_texture_detail(
     plain = without_detail(field)
     (out / "seen").mkdir(parents=True, exist_ok=True)
     people = []
-    with Rasterizer((field.config.image_size,) * 2) as renderer:
+    size = field.config.image_size
+    with Rasterizer((size, size)) as renderer:
         for number in range(options.people):
             progress("people", number, options.people)
             people.append(_seen(plain, renderer, options, number, out / "seen" / f"{number:04d}.npz"))
