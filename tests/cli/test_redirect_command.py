@@ -122,7 +122,7 @@ def test_a_folder_is_redirected_once_and_what_has_no_face_is_passed_on(
     Image.new("RGB", (64, 48), "red").save(source / "b.jpg")
     (source / "c.webp").write_text("no picture")
     (source / "notes.txt").write_text("left out")
-    words = ["redirect", str(source), "--gaze", "0", "10", "--out", str(out)]
+    words = ["redirect", str(source), "--gaze", "0", "10", "--out", str(out), "--workers", "1"]
     assert main(words) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "a.png: redirected" and lines[1].startswith("b.jpg: passed on unchanged: no face was found")
