@@ -74,7 +74,7 @@ def _prepare(options: Options) -> int:
     from gazenerf.datasets.prepare import prepare
 
     assert options.out is not None
-    started, where = time.perf_counter(), options.where
+    started, where = time.perf_counter(), options.where()
     with showing_progress() as progress:
         made = prepare(options, options.out, progress, warn, where.workers, where.scheduler)
     seconds = time.perf_counter() - started

@@ -112,7 +112,7 @@ def _folder(options: Options) -> int:
 
     if options.grid:
         raise UserError("--grid takes one photograph; give a picture instead of a folder")
-    started, where = time.perf_counter(), options.where
+    started, where = time.perf_counter(), options.where()
     made = redirect_folder(
         options.photograph, options.out, options, options.overwrite, lambda line: print(line), where.workers,
         where.scheduler,

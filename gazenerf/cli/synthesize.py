@@ -30,7 +30,7 @@ def run(options: Options) -> int:
     from gazenerf.cli.libraries import naming_missing_libraries
 
     started, total = time.perf_counter(), options.people * options.views
-    where = options.where
+    where = options.where()
     with naming_missing_libraries(), showing_progress() as progress:
         rendered = synthesize(options.out, options, progress, where.workers, where.scheduler)
     seconds = time.perf_counter() - started
@@ -40,6 +40,11 @@ def run(options: Options) -> int:
         "captures": f"{total:,} ({people} people, {views} views each, {size}x{size})",
         "rendered now": f"{rendered:,} by {options.renderer} in {seconds:.1f} s, {rendered / seconds:.1f}/s",
     }
-    measured = {"captures": total, "rendered_now": rendered, "render_seconds": seconds, "workers": where.workers}
+    measured = {
+        "captures": total,
+        "rendered_now": rendered,
+        "render_seconds": seconds,
+        "workers": None if where.scheduler else where.workers,
+    }
     summary_table("captures", rows, measured)
     return 0

@@ -11,7 +11,6 @@ __all__ = [
     "ExecutionOptions",
     "Failures",
     "Job",
-    "Stopped",
     "Tell",
     "Where",
     "require_shared",

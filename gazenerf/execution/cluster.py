@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import pydoc
 import time
 from collections.abc import Iterator
-from concurrent.futures import Executor, Future
+from concurrent.futures import CancelledError, Future
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 from gazenerf import __version__
@@ -17,6 +19,9 @@ from gazenerf.execution.processes import keep_to_one_core
 
 CONNECT_SECONDS = 10.0
 """How long a scheduler may take to answer."""
+
+FETCH_SECONDS = 120.0
+"""How long the result of an item may be on its way."""
 
 WORKERS_SECONDS = 60.0
 """How long a run waits where there is no worker."""
@@ -64,7 +69,6 @@ class Cluster:
 
     def __init__(self, client: Any, address: str) -> None:
         self._client, self._address = client, address
-        self._executor: Executor = client.get_executor(pure=False)  # the same item may be done twice in a run
         self._threads: dict[str, int] = {}
         self._looked, self._seen = 0.0, time.monotonic()
         self._known: set[str] = set()
@@ -73,8 +77,14 @@ class Cluster:
             time.sleep(0.0 if self._threads else 0.2)
 
     def call(self, job: Job[Any, Any], item: Any) -> Future[Any]:
-        """Hand one item over."""
-        return self._executor.submit(_do_on_worker, __version__, job, item)
+        """Hand one item over; CancelledError is the result where the connection was lost.
+
+        The executor of `Client.get_executor` would wait for ever for results that cannot be fetched.
+        """
+        ours: Future[Any] = Future()
+        theirs = self._client.submit(_do_on_worker, __version__, job, item, pure=False)
+        theirs.add_done_callback(partial(_pass_on, ours))
+        return ours
 
     def room(self) -> int:
         """Some items for each worker, those that came lately among them."""
@@ -121,6 +131,17 @@ class Cluster:
             for worker, version in found.items():
                 _refuse_version(worker, version)
             self._known |= set(found)
+
+
+def _pass_on(ours: Future[Any], theirs: Any) -> None:
+    try:
+        result = theirs.result(timeout=FETCH_SECONDS)
+    except (OSError, TimeoutError, CancelledError, asyncio.CancelledError):
+        ours.set_exception(CancelledError())  # what fails in a job is none of these
+    except BaseException as error:
+        ours.set_exception(error)
+    else:
+        ours.set_result(result)
 
 
 def _refuse_version(worker: str, version: object) -> None:

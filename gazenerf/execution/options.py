@@ -42,11 +42,13 @@ class Where:
         return path if self.scheduler is None else path.absolute()
 
     def placed(self, options: Options) -> Options:
-        """Options (a dataclass) whose paths mean the same everywhere; see `folder`."""
+        """Options (a dataclass) whose paths mean the same everywhere; a path that is not here may be a name."""
         if self.scheduler is None:
             return options
         found: dict[str, Any] = {field.name: getattr(options, field.name) for field in fields(options)}  # pyright: ignore[reportArgumentType]
-        paths = {name: self.folder(value) for name, value in found.items() if isinstance(value, Path)}
+        paths = {
+            name: self.folder(value) for name, value in found.items() if isinstance(value, Path) and value.exists()
+        }
         return replace(options, **paths)  # pyright: ignore[reportArgumentType, reportCallIssue]
 
 
@@ -70,13 +72,16 @@ class ExecutionOptions:
         metavar="tcp://HOST:PORT",
     )
 
-    @property
-    def where(self) -> Where:
+    def where(self, default: int | None = None) -> Where:
         """The place that is meant.
+
+        Args:
+            default: Processes where nothing is said; one for each core if None.
 
         Raises:
             UserError: both are given, or cannot be.
         """
         if self.scheduler is not None and self.workers is not None:
             raise UserError("--workers is for processes here; how many a --scheduler has, its workers decide")
-        return Where(usable_cores() if self.workers is None else self.workers, self.scheduler)
+        default = usable_cores() if default is None else default
+        return Where(default if self.workers is None else self.workers, self.scheduler)

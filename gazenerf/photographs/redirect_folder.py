@@ -75,7 +75,7 @@ def redirect_folder(
 
     Raises:
         UserError: no pictures, a run with other options at `out`, options of a single photograph, processes died, a
-            cluster is not there, or something unexpected went wrong with some pictures: they are named, the others done.
+            cluster is not there, or something unexpected went wrong with some pictures, which are named.
     """
     where = Where(workers, scheduler)
     for name in ("subject", "landmarks", "masks", "labels"):
