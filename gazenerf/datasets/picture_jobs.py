@@ -23,6 +23,7 @@ from gazenerf.head_model import load_head_model
 from gazenerf.head_model.interface import HeadModel
 from gazenerf.photographs.fit import KnownPerson, Photograph, fit_photographs
 from gazenerf.photographs.normalisation import FOCAL_LENGTHS
+from gazenerf.workers import one_thread
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +73,8 @@ class PersonFitting:
     @contextmanager
     def opened(self) -> Iterator[Callable[[Group, Tell], Found]]:
         """Open the data set and the head model."""
-        yield partial(self._fit, open_dataset(self.options.dataset, self.options.place), load_head_model())
+        with one_thread():
+            yield partial(self._fit, open_dataset(self.options.dataset, self.options.place), load_head_model())
 
     def _fit(self, dataset: PublishedSet, model: HeadModel, group: Group, tell: Tell) -> Found:
         """Fit to telling pictures, or to the first ones where no face is found in those; where that fails too, no
@@ -113,7 +115,8 @@ class CaptureMaking:
     def opened(self) -> Iterator[Callable[[Group, Tell], Found]]:
         """Open the data set and the head model."""
         require_shared(self.out / MANIFEST)
-        yield partial(self._make, open_dataset(self.options.dataset, self.options.place), load_head_model())
+        with one_thread():
+            yield partial(self._make, open_dataset(self.options.dataset, self.options.place), load_head_model())
 
     def _make(self, dataset: PublishedSet, model: HeadModel, group: Group, tell: Tell) -> Found:
         found, captures = Found(), list[Capture]()

@@ -22,6 +22,7 @@ from gazenerf.photographs.detector import photo_python
 from gazenerf.photographs.make_redirect import RedirectOptions, make_redirect
 from gazenerf.photographs.marking import SUFFIXES
 from gazenerf.photographs.picture import read_photograph
+from gazenerf.workers import one_thread
 
 RECORD = "redirect.json"
 """What was asked for and what became of each picture, beside the pictures."""
@@ -124,7 +125,8 @@ class Redirecting:
     def opened(self) -> Iterator[Callable[[str, Tell], dict[str, Any]]]:
         """Load the head model."""
         require_shared(self.out / RECORD)
-        yield partial(self._redirect, load_head_model(self.options.head_model))
+        with one_thread():
+            yield partial(self._redirect, load_head_model(self.options.head_model))
 
     def _redirect(self, model: HeadModel, name: str, tell: Tell) -> dict[str, Any]:
         file = self.folder / name

@@ -78,6 +78,7 @@ def test_mistakes_are_one_line(folder, capsys):
     out, subject = ["--out", str(folder / "x.png")], ["--subject", str(folder / "me.safetensors")]
     gaze, marks = ["--gaze", "0", "5"], ["--landmarks", str(folder / "marks.npy")]
     assert "say where the eyes shall look" in refused(folder, capsys, *out, *subject)
+    assert "share out the pictures of a folder" in refused(folder, capsys, *gaze, *subject, *out, "--workers", "2")
     assert "name --out .png" in refused(folder, capsys, *gaze, *subject, "--out", str(folder / "x.gif"))
     assert "is the photograph" in refused(folder, capsys, *gaze, *subject, "--out", str(folder / "me.png"))
     assert "cannot be drawn at pitch 50" in refused(folder, capsys, "--gaze", "50", "0", *subject, *out)
