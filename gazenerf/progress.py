@@ -28,3 +28,14 @@ def counted(items: Iterable[T], progress: Progress, stage: str, total: int) -> I
 def steps_of(progress: Progress, stage: str) -> Callable[[int, int], None]:
     """The progress of one stage, called with (done, total)."""
     return lambda done, total: progress(stage, done, total)
+
+
+def advancing(progress: Progress, stage: str, done: int, total: int) -> Callable[[int], None]:
+    """The progress of one stage of which so many steps are done, called with how many more are."""
+
+    def advance(steps: int) -> None:
+        nonlocal done
+        done += steps
+        progress(stage, done, total)
+
+    return advance

@@ -33,6 +33,17 @@ def workers_for(device: torch.device) -> int:
 
 
 @contextmanager
+def one_thread() -> Iterator[None]:
+    """Within the block torch computes in one thread, so that sums have the same last bits on any number of cores."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+@contextmanager
 def pool(workers: int | None = None) -> Iterator[ThreadPoolExecutor]:
     """An executor whose threads run torch on one core each; torch's own threads come back afterwards.
 

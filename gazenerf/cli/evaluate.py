@@ -2,15 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from rich.console import Console
 from rich.table import Table
 
 from gazenerf.evaluation.quality import UNITS
 from gazenerf.evaluation.run import EvaluateOptions, Evaluation, evaluate
+from gazenerf.execution import ExecutionOptions
+from gazenerf.options import option
 
 HELP = "measure a field on views, gazes and people it has not seen"
 
-Options = EvaluateOptions
+
+@dataclass(frozen=True, kw_only=True)
+class Options(ExecutionOptions, EvaluateOptions):
+    """What the command takes.
+
+    Attributes:
+        workers: One uses all cores by threads, and is the default.
+    """
+
+    workers: int | None = option(None, "processes on this machine (default: 1, which uses all cores)", metavar="N")
+
 
 SHOWN = {
     "psnr_head": "head dB",
@@ -22,18 +36,22 @@ SHOWN = {
 """Measurements in the table by person, and their headings."""
 
 
-def run(options: EvaluateOptions) -> int:
+def run(options: Options) -> int:
     """Measure, write the report, print the tables."""
     from gazenerf.checkpoints import BUNDLED
-    from gazenerf.cli.common import showing_progress
+    from gazenerf.cli.common import showing_progress, warn
     from gazenerf.cli.report import current
     from gazenerf.devices import choose_device
 
     report = current()
     report.choose(field=options.checkpoint or BUNDLED.stem, device=choose_device(options.device))
+    where = options.where(1)
     with showing_progress() as progress:
-        found = evaluate(options, progress)
-    report.add([found.file], {"groups": found.groups, "people": found.people, "left_out": found.left_out})
+        found = evaluate(options, progress, where.workers, where.scheduler)
+    for name, why in found.failed.items():
+        warn(f"{name}: {why}")
+    names = "groups", "people", "left_out", "failed"
+    report.add([found.file], {name: getattr(found, name) for name in names})
     if not report.for_people:
         return 0
     console = Console()

@@ -9,13 +9,14 @@ from pathlib import Path
 from gazenerf.datasets.examine import Examined
 from gazenerf.datasets.options import PrepareOptions
 from gazenerf.errors import UserError
+from gazenerf.execution import ExecutionOptions
 from gazenerf.options import option
 
 HELP = "make captures of a published gaze data set to train on"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(PrepareOptions):
+class Options(ExecutionOptions, PrepareOptions):
     """What the command takes.
 
     Attributes:
@@ -73,9 +74,9 @@ def _prepare(options: Options) -> int:
     from gazenerf.datasets.prepare import prepare
 
     assert options.out is not None
-    started = time.perf_counter()
+    started, where = time.perf_counter(), options.where()
     with showing_progress() as progress:
-        made = prepare(options, options.out, progress, warn)
+        made = prepare(options, options.out, progress, warn, where.workers, where.scheduler)
     seconds = time.perf_counter() - started
     now = made.counts.total() - made.before
     rows = _rows(options, made.examined) | {

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
 from gazenerf.errors import UserError
+from gazenerf.execution import ExecutionOptions
 from gazenerf.options import option
 from gazenerf.photographs.clips.clip import SUFFIXES
 from gazenerf.photographs.make_redirect import RedirectOptions
@@ -16,7 +18,7 @@ HELP = "change where the person in a photograph looks, for one picture, a folder
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(GridOptions, RedirectOptions):
+class Options(ExecutionOptions, GridOptions, RedirectOptions):
     """What the command takes.
 
     Attributes:
@@ -48,6 +50,8 @@ def run(options: Options) -> int:
     with naming_missing_libraries():
         if options.photograph.is_dir():
             return _folder(options)
+        if options.workers is not None or options.scheduler is not None:
+            raise UserError("--workers and --scheduler share out the pictures of a folder; leave them away")
         if video:
             return _video(options)
         return _sheet(options) if options.grid else _one(options)
@@ -108,8 +112,15 @@ def _folder(options: Options) -> int:
 
     if options.grid:
         raise UserError("--grid takes one photograph; give a picture instead of a folder")
-    made = redirect_folder(options.photograph, options.out, options, options.overwrite, lambda line: print(line))
+    started, where = time.perf_counter(), options.where()
+    made = redirect_folder(
+        options.photograph, options.out, options, options.overwrite, lambda line: print(line), where.workers,
+        where.scheduler,
+    )  # fmt: skip
+    seconds = time.perf_counter() - started
+    now = sum(made.counts.values()) - made.before
     rows = {"folder": made.folder, **made.counts, "done by an earlier run": made.before}
+    rows["done now"] = f"{now:,} in {seconds:.1f} s" + (f", {seconds / now:.1f} s each" if now else "")
     summary_table(f"pictures of {options.photograph.name}", rows)
     if not made.counts[REDIRECTED]:
         raise UserError(f"no picture of {options.photograph} could be redirected; the lines above say why")

@@ -6,24 +6,22 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from gazenerf.cores import usable_cores
 from gazenerf.data.synthesis import SynthesizeOptions, synthesize
+from gazenerf.execution import ExecutionOptions
 from gazenerf.options import option
 
 HELP = "render captures of synthetic people to train on"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(SynthesizeOptions):
+class Options(ExecutionOptions, SynthesizeOptions):
     """What the command takes.
 
     Attributes:
         out: The folder; one of the same set is resumed.
-        workers: Processes that render; as many as there are cores by default.
     """
 
     out: Path = option(help="folder; one of the same set is resumed", metavar="DIR")
-    workers: int | None = option(None, "processes that render (default: one for each core)", metavar="N")
 
 
 def run(options: Options) -> int:
@@ -32,9 +30,9 @@ def run(options: Options) -> int:
     from gazenerf.cli.libraries import naming_missing_libraries
 
     started, total = time.perf_counter(), options.people * options.views
-    workers = usable_cores() if options.workers is None else options.workers
+    where = options.where()
     with naming_missing_libraries(), showing_progress() as progress:
-        rendered = synthesize(options.out, options, progress, workers)
+        rendered = synthesize(options.out, options, progress, where.workers, where.scheduler)
     seconds = time.perf_counter() - started
     people, views, size = options.people, options.views, options.size
     rows: dict[str, object] = {
@@ -42,6 +40,11 @@ def run(options: Options) -> int:
         "captures": f"{total:,} ({people} people, {views} views each, {size}x{size})",
         "rendered now": f"{rendered:,} by {options.renderer} in {seconds:.1f} s, {rendered / seconds:.1f}/s",
     }
-    measured = {"captures": total, "rendered_now": rendered, "render_seconds": seconds, "workers": workers}
+    measured = {
+        "captures": total,
+        "rendered_now": rendered,
+        "render_seconds": seconds,
+        "workers": None if where.scheduler else where.workers,
+    }
     summary_table("captures", rows, measured)
     return 0

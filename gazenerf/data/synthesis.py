@@ -2,38 +2,32 @@
 
 from __future__ import annotations
 
-import atexit
-import ctypes
-import multiprocessing
-from collections.abc import Generator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager, ExitStack, closing
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
-import cv2
 import numpy as np
 
+from gazenerf.cores import usable_cores
 from gazenerf.data.captures import Capture
 from gazenerf.data.path_tracer import SAMPLES, PathTracer
-from gazenerf.data.processes import follow_parent, launching
 from gazenerf.data.protocol import EXPRESSIONS, LAYOUTS, View, plan_view
 from gazenerf.data.rasterizer import Raster, Rasterizer
-from gazenerf.data.storage import MAX_SIDE, SHARD_VIEWS, shard_name, write_manifest, write_shard
+from gazenerf.data.storage import MANIFEST, MAX_SIDE, SHARD_VIEWS, shard_name, write_manifest, write_shard
 from gazenerf.errors import UserError
+from gazenerf.execution import Failures, Tell, Where, require_shared, results
 from gazenerf.geometry import Camera
 from gazenerf.head_model import load_head_model
 from gazenerf.head_model.interface import HeadMesh
 from gazenerf.head_model.model import METRES_PER_UNIT, ParametricHead
 from gazenerf.options import option
-from gazenerf.progress import Progress, silent
+from gazenerf.progress import Progress, advancing, silent
 
 RENDERERS = ("pyrender", "mitsuba")
 SUPERSAMPLING, MAX_SUPERSAMPLING = 2, 8
-MAX_FAILED_SHARDS = 8
-"""So many failed shards end a run in processes; fewer leave it to finish the others."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,7 +115,13 @@ class Shard:
         return shard_name(self.person, self.views.start)
 
 
-def synthesize(out: str | Path, options: SynthesizeOptions, progress: Progress = silent, workers: int = 1) -> int:
+def synthesize(
+    out: str | Path,
+    options: SynthesizeOptions,
+    progress: Progress = silent,
+    workers: int = 1,
+    scheduler: str | None = None,
+) -> int:
     """Write captures to a folder; shards already there are kept.
 
     Args:
@@ -131,176 +131,94 @@ def synthesize(out: str | Path, options: SynthesizeOptions, progress: Progress =
         workers: Processes that render, each a shard of `SHARD_VIEWS` captures at a time; the bytes are the same. A
             script that asks for more than one keeps its own work under `if __name__ == "__main__":`, because each
             process imports it.
+        scheduler: Address of a Dask scheduler whose workers render instead; they write to the same folder.
 
     Returns:
         How many captures were rendered now.
 
     Raises:
-        UserError: impossible settings, a renderer that cannot start, the folder holds another set, or, of several
-            processes, one died or shards failed: the line names the shards, and the others are written.
+        UserError: impossible settings, a renderer that cannot start, the folder holds another set, processes died, a
+            cluster is not there, or shards failed: the line names the shards, and the others are written.
     """
     options.check()
-    if workers < 1:
-        raise UserError(f"--workers must be at least 1, got {workers}")
+    where = Where(workers, scheduler)
     model, folder = load_head_model(), Path(out)
     opened, how = _open(options)
-    with opened as drawing:
-        write_manifest(
-            folder,
-            {
-                "people": options.people,
-                "views": options.views,
-                "size": options.size,
-                "seed": options.seed,
-                "layout": options.layout,
-                "expressions": options.expressions,
-                **how,
-                "renderer": options.renderer,
-                "head_model": model.name,
-                "code_sizes": list(model.code_sizes),
-                "metres_per_unit": METRES_PER_UNIT,
-            },
-        )
-        shards = [
-            Shard(person, range(first, min(first + SHARD_VIEWS, options.views)))
-            for person in range(options.people)
-            for first in range(0, options.views, SHARD_VIEWS)
-        ]
-        missing = [shard for shard in shards if not (folder / shard.name).is_file()]
-        rendered, total = sum(len(shard.views) for shard in missing), options.people * options.views
-        done = total - rendered
-        workers = min(workers, len(missing))
-        with closing(
-            _in_processes(folder, options, missing, workers)
-            if workers > 1
-            else _one_after_another(folder, options, missing, drawing, model)
-        ) as counts:
-            for count in counts:
-                done += count
-                progress("rendering", done, total)
+    with opened:
+        pass  # a renderer that cannot start says so before anything is written
+    write_manifest(
+        folder,
+        {
+            "people": options.people,
+            "views": options.views,
+            "size": options.size,
+            "seed": options.seed,
+            "layout": options.layout,
+            "expressions": options.expressions,
+            **how,
+            "renderer": options.renderer,
+            "head_model": model.name,
+            "code_sizes": list(model.code_sizes),
+            "metres_per_unit": METRES_PER_UNIT,
+        },
+    )
+    shards = [
+        Shard(person, range(first, min(first + SHARD_VIEWS, options.views)))
+        for person in range(options.people)
+        for first in range(0, options.views, SHARD_VIEWS)
+    ]
+    missing = [shard for shard in shards if not (folder / shard.name).is_file()]
+    rendered, total = sum(len(shard.views) for shard in missing), options.people * options.views
+    job = Rendering(where.folder(folder), where.placed(options))
+    _render(job, missing, where, advancing(progress, "rendering", total - rendered, total))
     return rendered
 
 
-def _one_after_another(
-    folder: Path, options: SynthesizeOptions, shards: Sequence[Shard], drawing: Renderer, model: ParametricHead
-) -> Generator[int, None, None]:
-    """Render and write shards; yields 1 with every capture, the last of a shard once the shard is written."""
-    for shard in shards:
-        captures = []
+@dataclass(frozen=True)
+class Rendering:
+    """The job of writing shards to a folder, which gives nothing.
+
+    Attributes:
+        folder: With the manifest.
+        options: Of the set.
+    """
+
+    folder: Path
+    options: SynthesizeOptions
+
+    @contextmanager
+    def opened(self) -> Iterator[Callable[[Shard, Tell], None]]:
+        """Open a renderer."""
+        require_shared(self.folder / MANIFEST)
+        if self.options.renderer == "mitsuba" and usable_cores() == 1:
+            import drjit
+
+            drjit.set_thread_count(1)
+        with _open(self.options)[0] as drawing:
+            yield partial(self._write, drawing, load_head_model())
+
+    def _write(self, drawing: Renderer, model: ParametricHead, shard: Shard, tell: Tell) -> None:
+        options, captures = self.options, []
         for view in shard.views:
             plan = plan_view(model, options.seed, shard.person, view, options.size, options.layout, options.expressions)
             captures.append(render_capture(drawing, model, plan))
             if len(captures) == len(shard.views):
-                write_shard(folder, captures)
-            yield 1
+                write_shard(self.folder, captures)
+            tell()
 
 
-class _CannotStart(UserError):
-    """A process cannot open its renderer."""
-
-
-class _UnexpectedError(Exception):
-    """What failed in a process, as words: errors of OpenGL hold pointers, which do not pass between processes."""
-
-
-def _in_processes(
-    folder: Path, options: SynthesizeOptions, shards: Sequence[Shard], workers: int
-) -> Generator[int, None, None]:
-    """Render and write shards in processes of their own; yields the captures of each as it is written.
-
-    However it ends, the processes end after the capture they are at.
+def _render(job: Rendering, shards: Sequence[Shard], where: Where, advance: Callable[[int], None]) -> None:
+    """Render shards; so many failures end it early.
 
     Raises:
-        UserError: a process died or cannot start, or shards failed.
+        UserError: shards failed, or the place is gone.
     """
-    context = multiprocessing.get_context("spawn")
-    stop = context.RawValue(ctypes.c_bool, False)  # no lock, which a process that dies could take along
-    executor = ProcessPoolExecutor(workers, context, initializer=_start_process, initargs=(options, stop))
-    failed: dict[Shard, Exception] = {}
-    try:
-        with launching():
-            shard_of = {executor.submit(_render_in_process, folder, options, shard): shard for shard in shards}
-        for future in as_completed(shard_of):
-            error = future.exception()
-            if error is None:
-                yield future.result()
-            elif not isinstance(error, Exception) or isinstance(error, (_CannotStart, BrokenProcessPool)):
-                raise error
-            else:
-                failed[shard_of[future]] = error
-            if len(failed) == MAX_FAILED_SHARDS:
+    failures = Failures("shard", "shards", "renders what is missing")
+    with closing(results(job, shards, where, size=lambda shard: len(shard.views), advance=advance)) as every:
+        for done in every:
+            if done.error is not None and failures.add(done.item.name, done.error):
                 break
-    except BrokenProcessPool as error:
-        raise UserError(
-            "a process that renders died, perhaps for want of memory; the same command with a smaller --workers "
-            "goes on where it stopped"
-        ) from error
-    finally:
-        stop.value = True
-        executor.shutdown(cancel_futures=True)
-    if failed:
-        first = min(failed, key=lambda shard: shard.name)
-        raise UserError(_failures(failed, first)) from failed[first]
-
-
-def _failures(failed: Mapping[Shard, Exception], first: Shard) -> str:
-    names, error = ", ".join(sorted(shard.name for shard in failed)), failed[first]
-    many = f"{len(failed)} shards" if len(failed) > 1 else "1 shard"
-    where = "" if isinstance(error, UserError) else ", and with --workers 1 shows where this one fails"
-    return f"{many} failed ({names}): {_reason(error)}; the same command renders what is missing{where}"
-
-
-def _reason(error: Exception) -> str:
-    return str(error) if isinstance(error, (UserError, _UnexpectedError)) else f"{type(error).__name__}: {error}"
-
-
-@dataclass
-class _RenderingProcess:
-    """What a process that renders keeps from shard to shard: a renderer and a head model, or why there are none."""
-
-    stop: ctypes.c_bool
-    drawing: tuple[Renderer, ParametricHead] | None = None
-    reason: str = ""
-
-
-_process: _RenderingProcess | None = None
-
-
-def _start_process(options: SynthesizeOptions, stop: ctypes.c_bool) -> None:
-    """Open the renderer of a process; a failure is kept for the first shard, since an executor only prints it."""
-    global _process
-    follow_parent()
-    _process, opened = _RenderingProcess(stop), ExitStack()
-    atexit.register(opened.close)
-    try:
-        cv2.setNumThreads(1)
-        if options.renderer == "mitsuba":
-            import drjit
-
-            drjit.set_thread_count(1)
-        _process.drawing = opened.enter_context(_open(options)[0]), load_head_model()
-    except Exception as error:
-        _process.reason = _reason(error)
-
-
-def _render_in_process(folder: Path, options: SynthesizeOptions, shard: Shard) -> int:
-    """Captures of a shard that were rendered; the shard is written unless the process is to stop."""
-    assert _process is not None
-    if _process.drawing is None:
-        raise _CannotStart(f"a process that renders cannot start ({_process.reason})")
-    rendered = 0
-    if _process.stop.value:
-        return rendered
-    try:
-        for count in _one_after_another(folder, options, [shard], *_process.drawing):
-            rendered += count
-            if _process.stop.value:
-                break
-    except UserError:
-        raise
-    except Exception as error:
-        raise _UnexpectedError(_reason(error)) from error
-    return rendered
+    failures.refuse()
 
 
 def _open(options: SynthesizeOptions) -> tuple[AbstractContextManager[Renderer], dict[str, int]]:

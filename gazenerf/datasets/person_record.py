@@ -69,7 +69,7 @@ class PersonRecord:
             "fitted_from": self.fitted_from,
             "identity": None if person is None else person.identity.tolist(),
             "texture": None if person is None else person.texture.tolist(),
-            "pictures": self.pictures,
+            "pictures": dict(sorted(self.pictures.items())),
         }
         with whole_file(self.path) as temporary:
             temporary.write_text(json.dumps(said, indent=1) + "\n", encoding="utf-8")

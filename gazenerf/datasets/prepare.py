@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Generator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +17,14 @@ from gazenerf.datasets.examine import Examined, examine
 from gazenerf.datasets.options import PrepareOptions
 from gazenerf.datasets.person import PersonPreparation, Say
 from gazenerf.datasets.person_record import CAPTURE, FAILED, PersonRecord
+from gazenerf.datasets.picture_jobs import CaptureMaking, Found, Group, PersonFitting
 from gazenerf.datasets.published import PublishedSet
 from gazenerf.errors import UserError
+from gazenerf.execution import Done, Failures, Where, results
 from gazenerf.head_model import load_head_model
 from gazenerf.head_model.interface import HeadModel
 from gazenerf.head_model.model import METRES_PER_UNIT
-from gazenerf.progress import Progress, silent
+from gazenerf.progress import Progress, advancing, silent
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,14 @@ class Prepared:
     from_published_pose: float | None
 
 
-def prepare(options: PrepareOptions, out: Path, progress: Progress = silent, say: Say = lambda _: None) -> Prepared:
+def prepare(
+    options: PrepareOptions,
+    out: Path,
+    progress: Progress = silent,
+    say: Say = lambda _: None,
+    workers: int = 1,
+    scheduler: str | None = None,
+) -> Prepared:
     """Write captures of a published data set to a folder; what is there already is kept.
 
     A picture that cannot be used is noted in its person's JSON file and told of, and the others go on.
@@ -51,26 +61,33 @@ def prepare(options: PrepareOptions, out: Path, progress: Progress = silent, say
     Args:
         options: What is prepared.
         out: The folder, also of an earlier run with the same settings; other `subjects` and `people` may be added.
-        progress: Told about pictures.
+        progress: Told about people, then about pictures.
         say: Told about each picture that fails.
+        workers: Processes; a script that asks for more than one keeps its own work under
+            `if __name__ == "__main__":`, because each process imports it.
+        scheduler: Address of a Dask scheduler whose workers do the work instead; they read and write the same folders.
 
     Raises:
-        UserError: `examine` finds something wrong, the folder holds another set, or nothing became a capture.
+        UserError: `examine` finds something wrong, the folder holds another set, nothing became a capture, processes
+            died, a cluster is not there, or something unexpected kept some pictures from being looked at.
     """
+    where = Where(workers, scheduler)
     found, examined = examine(options, progress)
     examined.refuse()
     model = load_head_model()
     write_manifest(out, _manifest(options, found, model))
-    records, before, done = [], 0, 0
+    people, before = [], 0
     for number, subject in chosen_subjects(found, options.subjects, options.people):
         record = PersonRecord.load(out, number, subject)
         before += len(record.pictures)
         with found.open(subject) as opened:
             kept, _ = chosen_pictures(opened.listed, options.pictures, number)
-            for count in PersonPreparation(options, out, model, number, opened, record, say).prepare(kept):
-                done += count
-                progress("preparing", done, examined.pictures + examined.faulty)
-        records.append(record)
+        people.append(PersonPreparation(number, record, kept, say))
+    placed = where.placed(options)
+    if options.landmark_source == "files":
+        placed = replace(placed, landmarks=str(where.folder(Path(options.landmarks))))
+    _prepare(people, placed, where.folder(out), where, progress)
+    records = [person.record for person in people]
     counts: Counter[str] = sum((record.counts for record in records), Counter())
     if not counts[CAPTURE]:
         why = next((said["why"] for record in records for said in record.pictures.values()), "there are no pictures")
@@ -81,6 +98,40 @@ def prepare(options: PrepareOptions, out: Path, progress: Progress = silent, say
         before,
         *(_median(records, f"label_from_{key}_degrees") for key in ("irises", "published_pose")),
     )
+
+
+def _prepare(
+    people: Sequence[PersonPreparation], options: PrepareOptions, out: Path, where: Where, progress: Progress
+) -> None:
+    """Fit those who are not fitted, then make captures of everybody's pictures.
+
+    Raises:
+        UserError: a job failed as a whole for some pictures, which are named; the others are done, unless many failed.
+    """
+    of = {person.number: person for person in people}
+    for person in people:
+        person.note_faults()
+    unknown = [person.whole for person in people if person.left and person.record.person is None]
+    failures = Failures("group of pictures", "groups of pictures", "tries again")
+
+    def note(every: Generator[Done[Group, Found], None, None]) -> None:
+        with closing(every):
+            for done in every:
+                group = done.item
+                if done.error is None:
+                    of[group.number].note(done.result)
+                elif failures.add(f"{group.subject} from {group.items[0].name} on", done.error):
+                    failures.refuse()
+
+    advance = advancing(progress, "fitting people", len(people) - len(unknown), len(people))
+    note(results(PersonFitting(options), unknown, where, advance=advance))
+    groups = [group for person in people if person.record.person is not None for group in person.groups]
+    total = sum(len(person.kept) for person in people)
+    advance = advancing(progress, "preparing", total - sum(len(group.items) for group in groups), total)
+    note(results(CaptureMaking(options, out), groups, where, size=lambda group: len(group.items), advance=advance))
+    for person in people:
+        person.record.save()
+    failures.refuse()
 
 
 def _median(records: Sequence[PersonRecord], name: str) -> float | None:

@@ -24,7 +24,7 @@ from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model.interface import HeadModel
 from gazenerf.heads import BoundField, Head
 from gazenerf.image_metrics import bounding_crop, eye_crops, psnr, ssim
-from gazenerf.progress import Progress, silent
+from gazenerf.progress import Progress, counted, silent
 from gazenerf.subjects import Codes, Subject
 from gazenerf.training.gaze_training import VISIBLE_SHARE
 
@@ -117,26 +117,62 @@ def evaluate_field(
     Returns:
         `all`, `trained` and `unseen` groups and `people`, by `UNITS`, with the count behind each value.
     """
-    instruments = instruments or Instruments()
-    tally = _Tally()
-    people = sorted({capture.person for capture in captures})
-    done, total = 0, len(captures) + len(people) * len(iris_gazes)
-    for capture in captures:
-        tally.add(capture.person, evaluate_capture(model, capture, head_model, instruments, precision))
-        done += 1
-        progress(f"measuring, person {capture.person} view {capture.view}", done, total)
-    for person in people:
+    instruments, rows = instruments or Instruments(), []
+    items = measurements(captures, iris_gazes)
+    for item in counted(items, progress, "measuring", len(items)):
+        rows += [(item.person, row) for row in measure(model, item, head_model, instruments, precision)]
+    return summarised(rows, unseen_people)
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One thing to measure of a person.
+
+    Attributes:
+        person: Index.
+        name: Unique among the measurements of a set.
+        capture: To be rendered again; None where irises are read.
+        codes: Whose irises are read; None where a capture is rendered.
+        gaze: Pitch and yaw, degrees, at which they are.
+    """
+
+    person: int
+    name: str
+    capture: Capture | None = None
+    codes: Codes | None = None
+    gaze: tuple[float, float] = (0.0, 0.0)
+
+
+def measurements(captures: Sequence[Capture], iris_gazes: Sequence[tuple[float, float]]) -> list[Measurement]:
+    """All that is measured on captures: each of them, then the irises of each person at each gaze."""
+    found = [Measurement(c.person, f"person {c.person} view {c.view}", c) for c in captures]
+    for person in sorted({capture.person for capture in captures}):
         still = next(capture.codes for capture in captures if capture.person == person).neutral
-        head = Head(model, Subject("iris", still, still), precision=precision)
-        for pitch, yaw in iris_gazes:
-            for row in iris_rows(head, Gaze.from_degrees(pitch, yaw), head_model, instruments):
-                tally.add(person, row)
-            done += 1
-            progress(f"measuring, person {person} iris", done, total)
-    seen = [person for person in people if person not in unseen_people]
+        for gaze in iris_gazes:
+            found.append(Measurement(person, f"person {person} iris at {gaze[0]:g}, {gaze[1]:g}", None, still, gaze))
+    return found
+
+
+def measure(
+    model: TwoStreamField, item: Measurement, head_model: HeadModel, instruments: Instruments, precision: str = "auto"
+) -> list[dict[str, float]]:
+    """Rows of measurements, by `UNITS`."""
+    if item.capture is not None:
+        return [evaluate_capture(model, item.capture, head_model, instruments, precision)]
+    assert item.codes is not None
+    head = Head(model, Subject("iris", item.codes, item.codes), precision=precision)
+    return iris_rows(head, Gaze.from_degrees(*item.gaze), head_model, instruments)
+
+
+def summarised(rows: Sequence[tuple[int, dict[str, float]]], unseen_people: Collection[int]) -> dict[str, Any]:
+    """Means of rows of people; see `evaluate_field`."""
+    tally = _Tally()
+    for person, row in rows:
+        tally.add(person, row)
+    people = sorted(tally.rows)
     return {
         "all": tally.summary(people),
-        "trained": tally.summary(seen),
+        "trained": tally.summary([person for person in people if person not in unseen_people]),
         "unseen": tally.summary([person for person in people if person in unseen_people]),
         "people": {str(person): tally.summary([person]) for person in people},
     }

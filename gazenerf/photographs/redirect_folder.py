@@ -1,23 +1,28 @@
-"""A folder of photographs redirected one after the other; a run that was cut short goes on where it was."""
+"""A folder of photographs, each redirected; a run that was cut short goes on where it was."""
 
 from __future__ import annotations
 
 import json
 import shutil
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from gazenerf.errors import UserError
+from gazenerf.execution import Failures, Tell, Where, require_shared, results
 from gazenerf.files import read_json, refuse_existing, whole_file
 from gazenerf.head_model import load_head_model
+from gazenerf.head_model.interface import HeadModel
 from gazenerf.options import to_dict
 from gazenerf.photographs.detector import photo_python
 from gazenerf.photographs.make_redirect import RedirectOptions, make_redirect
 from gazenerf.photographs.marking import SUFFIXES
 from gazenerf.photographs.picture import read_photograph
+from gazenerf.workers import one_thread
 
 RECORD = "redirect.json"
 """What was asked for and what became of each picture, beside the pictures."""
@@ -46,7 +51,13 @@ class MadeFolder:
 
 
 def redirect_folder(
-    folder: Path, out: Path, options: RedirectOptions, overwrite: bool = False, say: Say = lambda _: None
+    folder: Path,
+    out: Path,
+    options: RedirectOptions,
+    overwrite: bool = False,
+    say: Say = lambda _: None,
+    workers: int = 1,
+    scheduler: str | None = None,
 ) -> MadeFolder:
     """Redirect every PNG, JPEG and WebP picture of a folder under the same names.
 
@@ -58,11 +69,16 @@ def redirect_folder(
         out: Another folder.
         options: Where the eyes shall look.
         overwrite: Begin anew.
-        say: Is told about each picture.
+        say: Is told about each picture, as it is done.
+        workers: Processes; a script that asks for more than one keeps its own work under
+            `if __name__ == "__main__":`, because each process imports it.
+        scheduler: Address of a Dask scheduler whose workers do the work instead; they read and write the same folders.
 
     Raises:
-        UserError: no pictures, a run with other options at `out`, or options of a single photograph.
+        UserError: no pictures, a run with other options at `out`, options of a single photograph, processes died, a
+            cluster is not there, or something unexpected went wrong with some pictures, which are named.
     """
+    where = Where(workers, scheduler)
     for name in ("subject", "landmarks", "masks", "labels"):
         if getattr(options, name):
             raise UserError(f"--{name} belongs to one photograph; redirect a folder without it")
@@ -73,27 +89,65 @@ def redirect_folder(
         raise UserError(f"{folder} holds no pictures; give a folder of {', '.join(SUFFIXES)} files")
     record = _record(out, options, overwrite)
     photo_python(options.photo_python)
-    model, before = load_head_model(options.head_model), 0
-    for file in files:
-        target, done = out / file.name, record["files"].get(file.name)
-        if done is not None and (target.exists() or done["became"] == UNREADABLE):
-            before += 1
-            continue
+    before = [file.name for file in files if _is_done(record["files"].get(file.name), out / file.name)]
+    _save(record, out)
+    job = Redirecting(where.folder(folder), where.folder(out), where.placed(options))
+    failures = Failures("picture", "pictures", "tries again")
+    with closing(results(job, [file.name for file in files if file.name not in before], where)) as every:
+        for done in every:
+            if done.error is not None:
+                if failures.add(done.item, done.error):
+                    break
+                continue
+            record["files"][done.item] = became = done.result
+            _save(record, out)
+            say(f"{done.item}: {became['became']}{': ' + became['why'] if 'why' in became else ''}")
+    failures.refuse()
+    counts = Counter(entry["became"] for entry in record["files"].values())
+    return MadeFolder(out, {name: counts[name] for name in (REDIRECTED, PASSED, UNREADABLE)}, len(before))
+
+
+@dataclass(frozen=True)
+class Redirecting:
+    """The job of redirecting pictures by their names; gives what is said of each.
+
+    Attributes:
+        folder: Of the photographs.
+        out: With the record.
+        options: Where the eyes shall look.
+    """
+
+    folder: Path
+    out: Path
+    options: RedirectOptions
+
+    @contextmanager
+    def opened(self) -> Iterator[Callable[[str, Tell], dict[str, Any]]]:
+        """Load the head model."""
+        require_shared(self.out / RECORD)
+        with one_thread():
+            yield partial(self._redirect, load_head_model(self.options.head_model))
+
+    def _redirect(self, model: HeadModel, name: str, tell: Tell) -> dict[str, Any]:
+        file = self.folder / name
         try:
             read_photograph(file)
         except UserError as error:
-            record["files"][file.name] = {"became": UNREADABLE, "why": str(error)}
-        else:
-            record["files"][file.name] = _one(file, target, options, model)
-        with whole_file(out / RECORD) as temporary:
-            temporary.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
-        became = record["files"][file.name]
-        say(f"{file.name}: {became['became']}{': ' + became['why'] if 'why' in became else ''}")
-    counts = Counter(entry["became"] for entry in record["files"].values())
-    return MadeFolder(out, {name: counts[name] for name in (REDIRECTED, PASSED, UNREADABLE)}, before)
+            return {"became": UNREADABLE, "why": str(error)}
+        return _one(file, self.out / name, self.options, model)
 
 
-def _one(file: Path, target: Path, options: RedirectOptions, model: Any) -> dict[str, Any]:
+def _is_done(said: dict[str, Any] | None, target: Path) -> bool:
+    return said is not None and (target.exists() or said["became"] == UNREADABLE)
+
+
+def _save(record: dict[str, Any], out: Path) -> None:
+    record["files"] = dict(sorted(record["files"].items()))
+    with whole_file(out / RECORD) as temporary:
+        temporary.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+
+
+def _one(file: Path, target: Path, options: RedirectOptions, model: HeadModel) -> dict[str, Any]:
     try:
         made = make_redirect(file, target, options, overwrite=True, model=model)
     except UserError as error:

@@ -97,6 +97,10 @@ def ray_targets(capture: Capture, feature_size: int, all_rays: bool = False, eye
     )
 
 
+FREE_RAYS = 1024
+"""Random rays of each capture for the empty space."""
+
+
 @dataclass
 class Batch:
     """B captures, rays padded to one length. All tensors; shapes with R rays, E eye rays.
@@ -189,7 +193,7 @@ class BatchMaker:
     def __len__(self) -> int:
         return len(self.captures)
 
-    def batch(self, indices: Sequence[int], rng: np.random.Generator, free_rays: int = 1024) -> Batch:
+    def batch(self, indices: Sequence[int], rng: np.random.Generator, free_rays: int = FREE_RAYS) -> Batch:
         """The batch of some captures, with `free_rays` random rays each for the empty space."""
         captures = [self.captures[i] for i in indices]
         targets = [self.targets[i] for i in indices]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from gazenerf.training.batches import Batch, BatchMaker, RayTargets
+from gazenerf.training.batches import FREE_RAYS, Batch, BatchMaker, RayTargets
 
 _RAY_VALUES = ("rays", "distance", "has_surface", "face_coverage", "eyes_coverage")
 
@@ -61,7 +61,7 @@ class DeviceBatchMaker:
     def __len__(self) -> int:
         return len(self._n_rays)
 
-    def batch(self, indices: Sequence[int], rng: np.random.Generator, free_rays: int = 1024) -> Batch:
+    def batch(self, indices: Sequence[int], rng: np.random.Generator, free_rays: int = FREE_RAYS) -> Batch:
         """The batch of some captures; see `BatchMaker.batch`, which gives the same for the same generator."""
         chosen, size = np.asarray(indices), self.feature_size
         n_rays, n_eyes = int(self._n_rays[chosen].max()), max(1, int(self._n_eyes[chosen].max()))

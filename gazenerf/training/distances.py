@@ -199,7 +199,8 @@ def learn_distances(
         learned = _Learning(networks, {part: some.to(device) for part, some in points.items()}, field, options)
         if state is not None:
             learned.load(state, out / STATE)
-            forget_after(out / LOG, learned.step)
+            if write:
+                forget_after(out / LOG, learned.step)
         started = time.monotonic()
         while learned.step < options.steps:
             loss = learned.advance()

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from gazenerf.devices import is_out_of_memory, release_memory
-from gazenerf.training.batches import Batch, BatchMaker
+from gazenerf.training.batches import FREE_RAYS, Batch, BatchMaker
 from gazenerf.training.config import TrainConfig
 from gazenerf.training.device_batches import DeviceBatchMaker, device_bytes
 from gazenerf.training.runtime import Runtime
@@ -106,7 +106,10 @@ class Feed:
         config, runtime = self._config, self._runtime
         epoch, indices = draw(len(self._host), config.batch * runtime.world, step, config.seed)
         mine = indices[runtime.rank * config.batch : (runtime.rank + 1) * config.batch]
-        batch = self._maker.batch(mine, np.random.default_rng((config.seed, step, runtime.rank)))
+        rng = np.random.default_rng((config.seed, step, 0))
+        for _ in range(runtime.rank * config.batch):  # of the pictures of other processes
+            rng.integers(0, self._host.feature_size**2, FREE_RAYS)
+        batch = self._maker.batch(mine, rng, FREE_RAYS)
         if self.held == "device":
             return epoch, batch
         if self.held == "ahead":

@@ -10,6 +10,7 @@ from gazenerf.field.compositing import Composited
 from gazenerf.field.model import TwoStreamField
 from gazenerf.field.streams import StreamCondition
 from gazenerf.training.batches import Batch
+from gazenerf.training.losses import shared_count
 
 FREE_MARGIN = 0.08
 """World units in front of a captured surface that may hold density."""
@@ -54,7 +55,7 @@ class TwoStreamRays:
 def mean_over(values: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
     """Mean of `values` where `mask`, 0 where the mask is empty."""
     weight = mask.to(values.dtype)
-    return (values * weight).sum() / weight.sum().clamp(min=1.0)
+    return (values * weight).sum() / shared_count(weight.sum()).clamp(min=1.0)
 
 
 def pick(values: torch.Tensor, index: torch.Tensor) -> torch.Tensor:

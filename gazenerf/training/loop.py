@@ -273,7 +273,8 @@ class _Run:
         self.pace.resume(state.get("share"), shaped_by_time=state.get("minutes") is not None)
         if self.average is not None:
             self.average.n_averaged.fill_(self.step + 1)
-        forget_after(self.out / LOG, self.step)
+        if self.runtime.rank == 0:
+            forget_after(self.out / LOG, self.step)
 
     def advance(self) -> dict[str, float]:
         """One optimiser step; the weighted parts of its loss.
@@ -290,7 +291,8 @@ class _Run:
                 if change is None:
                     raise
             else:
-                self.pace.tick(self.runtime.agree(self.seconds))
+                if self.pace.minutes is not None:
+                    self.pace.tick(self.runtime.agree(self.seconds))
                 return values
             self.optimizer.zero_grad()  # only here, where the error no longer holds the step's tensors
             change()
@@ -321,12 +323,12 @@ class _Run:
 
     def _advance(self) -> dict[str, float]:
         config, runtime, step = self.config, self.runtime, self.step
-        torch.manual_seed(config.seed * 1_000_003 + step * 31 + runtime.rank)
+        torch.manual_seed(config.seed * 1_000_003 + step * 31 + runtime.rank * 15_485_863)
         epoch, batch = self._feed.at(step)
         self.optimizer.set_rate(schedule(config, step, self.pace.share_of_time))
         with runtime.autocast():
             loss, parts = self._wrapped(batch, step, epoch, self.pace.share(step))
-        read = runtime.reading(torch.stack([loss, *parts.values()]).detach())
+        read = runtime.reading(runtime.mean(torch.stack([loss, *parts.values()]).detach()))
         numbers = None if runtime.fused else self._finite(read())
         self.optimizer.zero_grad()
         runtime.backward(loss)

@@ -106,6 +106,10 @@ class Objective(nn.Module):
             if config.learn_codes or config.learn_cameras
             else None
         )
+        if self.offsets is not None:  # what no loss reaches would keep several processes waiting
+            self.offsets.codes.requires_grad_(config.learn_codes)
+            self.offsets.angles.requires_grad_(config.learn_cameras)
+            self.offsets.shift.requires_grad_(config.learn_cameras)
         self._frozen = (features, estimate_gaze)
 
     def forward(

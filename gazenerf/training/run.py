@@ -37,7 +37,7 @@ class TrainOptions:
         held_out: People (the last ones) never trained on.
         held_out_views: Share of the views of each person kept out.
         settings: `KEY=VALUE` that change the preset.
-        device, devices, precision: See `Runtime`.
+        device, devices, nodes, precision: See `Runtime`.
         compile: Whether `torch.compile` fuses the heavy operations; `auto` tries on one GPU.
         minutes: Shape learning rate, perceptual start and geometry decay to so much time instead of to steps.
         stop_after: Save and stop after so many minutes.
@@ -53,7 +53,8 @@ class TrainOptions:
     held_out_views: float = option(0.05, "views of each person kept out", metavar="SHARE")
     settings: tuple[str, ...] = option((), "change settings of the preset", flag="--set", metavar="KEY=VALUE")
     device: str = option("auto", "where to compute (default: auto)", choices=("auto", "cpu", "cuda"))
-    devices: int = option(1, "data-parallel over N devices", metavar="N")
+    devices: int = option(1, "data-parallel over N devices of each machine", metavar="N")
+    nodes: int = option(1, "machines under SLURM (docs/training.md)", metavar="N")
     precision: str = option("auto", "of products (default: auto)", choices=("auto", "float32", "bfloat16"))
     compile: str = option("auto", "torch.compile (default: auto, tried on one GPU)", choices=COMPILE)
     minutes: float | None = option(None, "shape the schedule to this long instead of to steps", metavar="MINUTES")
@@ -91,7 +92,7 @@ def train_field(
             raise UserError(f"{error}; or train without it: --set perceptual=0") from error
     if config.functional:
         estimate_gaze = load_gaze_estimator(options.gaze_estimator)
-    runtime = Runtime(options.device, options.devices, options.precision, options.compile)
+    runtime = Runtime(options.device, options.devices, options.precision, options.compile, options.nodes)
 
     def on_step(state: TrainingStep) -> None:
         progress(f"training, loss {sum(state.parts.values()):.4f}", state.step, state.steps)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -25,12 +26,39 @@ def fast_bfloat16(device: torch.device) -> bool:
     return bool(supported())
 
 
+def started_by_launcher(devices: int, nodes: int) -> tuple[int, int]:
+    """Devices on each machine, and machines, as the launcher of this process says, else as they were asked for.
+
+    Raises:
+        UserError: impossible ones, others than the launcher says, or SLURM started several processes that nobody
+            asked for, which would all write the same run.
+    """
+    if devices < 1 or nodes < 1:
+        raise UserError(f"--devices and --nodes must be at least 1, got {devices} and {nodes}")
+    if "TORCHELASTIC_RUN_ID" in os.environ:  # torchrun, and fabric run, which is torchrun
+        here, world = int(os.environ["LOCAL_WORLD_SIZE"]), int(os.environ["WORLD_SIZE"])
+        if (devices, nodes) not in ((1, 1), (here, world // here)):
+            raise UserError(
+                f"the launcher started {here} processes on each of {world // here} machines, not --devices {devices} "
+                f"--nodes {nodes}; leave --devices and --nodes away"
+            )
+        return here, world // here
+    tasks = int(os.environ.get("SLURM_STEP_NUM_TASKS", "1"))
+    if tasks > 1 and tasks != devices * nodes:
+        raise UserError(
+            f"srun started {tasks} processes; give --devices (those on each machine) and --nodes (machines) whose "
+            "product that is"
+        )
+    return devices, nodes
+
+
 class Runtime:
     """Moves, casts and steps an objective on one device or several.
 
     Args:
         device: `auto`, `cpu` or `cuda`.
-        devices: How many; more than one needs the `lightning` package.
+        devices: How many on this machine; where `torchrun` or `fabric run` started this process, they say it.
+        nodes: How many machines; the same.
         precision: `auto`, `float32` or `bfloat16`.
         compile: Run the heavy operations through `torch.compile`: `auto` does so on one GPU.
 
@@ -39,19 +67,28 @@ class Runtime:
         compile: As decided.
 
     Raises:
-        UserError: the device is not there, or several were asked for without Lightning Fabric.
+        UserError: the device is not there, several were asked for without Lightning Fabric, or other ones than were
+            started.
     """
 
-    def __init__(self, device: str = "auto", devices: int = 1, precision: str = "auto", compile: str = "auto") -> None:
+    def __init__(
+        self,
+        device: str = "auto",
+        devices: int = 1,
+        precision: str = "auto",
+        compile: str = "auto",
+        nodes: int = 1,
+    ) -> None:
         chosen = choose_device(device)
         self.fabric: Any = None
         self.rank, self.world = 0, 1
-        if devices > 1:
+        devices, nodes = started_by_launcher(devices, nodes)
+        if devices * nodes > 1:
             try:
                 from lightning.fabric import Fabric  # pyright: ignore[reportMissingImports]
             except ImportError as error:
                 raise UserError("training on several devices needs: pip install gazenerf[multi-gpu]") from error
-            self.fabric = Fabric(accelerator=chosen.type, devices=devices)
+            self.fabric = Fabric(accelerator=chosen.type, devices=devices, num_nodes=nodes)
             self.fabric.launch()
             self.rank, self.world = int(self.fabric.global_rank), int(self.fabric.world_size)
             self.device = torch.device(self.fabric.device)
@@ -62,9 +99,9 @@ class Runtime:
             raise UserError(f"unknown precision {precision!r}; use auto, float32 or bfloat16")
         if compile not in COMPILE:
             raise UserError(f"unknown compile {compile!r}; use {', '.join(COMPILE)}")
-        if compile == "on" and devices > 1:
+        if compile == "on" and self.world > 1:
             raise UserError("compiled operations need one device; leave --compile at auto or lower --devices to 1")
-        self.compile = compile == "on" or (compile == "auto" and self.device.type == "cuda" and devices == 1)
+        self.compile = compile == "on" or (compile == "auto" and self.device.type == "cuda" and self.world == 1)
         self.fused = self.device.type == "cuda"
         if self.device.type == "cuda":
             torch.backends.cudnn.benchmark = True
@@ -92,6 +129,10 @@ class Runtime:
     def agree(self, value: float) -> float:
         """The first process's value, so that all do the same whatever their clocks say."""
         return value if self.fabric is None else float(self.fabric.broadcast(value))
+
+    def mean(self, values: torch.Tensor) -> torch.Tensor:
+        """Numbers (N,) averaged over processes, the same in all of them."""
+        return values if self.fabric is None else self.fabric.all_reduce(values, reduce_op="mean")
 
     def reading(self, values: torch.Tensor) -> Callable[[], list[float]]:
         """Numbers (N,) on their way to the host; a call waits for what made them, not for what is queued after."""

@@ -78,6 +78,7 @@ def test_mistakes_are_one_line(folder, capsys):
     out, subject = ["--out", str(folder / "x.png")], ["--subject", str(folder / "me.safetensors")]
     gaze, marks = ["--gaze", "0", "5"], ["--landmarks", str(folder / "marks.npy")]
     assert "say where the eyes shall look" in refused(folder, capsys, *out, *subject)
+    assert "share out the pictures of a folder" in refused(folder, capsys, *gaze, *subject, *out, "--workers", "2")
     assert "name --out .png" in refused(folder, capsys, *gaze, *subject, "--out", str(folder / "x.gif"))
     assert "is the photograph" in refused(folder, capsys, *gaze, *subject, "--out", str(folder / "me.png"))
     assert "cannot be drawn at pitch 50" in refused(folder, capsys, "--gaze", "50", "0", *subject, *out)
@@ -122,7 +123,7 @@ def test_a_folder_is_redirected_once_and_what_has_no_face_is_passed_on(
     Image.new("RGB", (64, 48), "red").save(source / "b.jpg")
     (source / "c.webp").write_text("no picture")
     (source / "notes.txt").write_text("left out")
-    words = ["redirect", str(source), "--gaze", "0", "10", "--out", str(out)]
+    words = ["redirect", str(source), "--gaze", "0", "10", "--out", str(out), "--workers", "1"]
     assert main(words) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "a.png: redirected" and lines[1].startswith("b.jpg: passed on unchanged: no face was found")

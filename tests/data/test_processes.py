@@ -15,6 +15,7 @@ import pytest
 
 from gazenerf.data import CaptureSet, SynthesizeOptions, synthesis, synthesize
 from gazenerf.errors import UserError
+from gazenerf.execution import failures
 
 pytestmark = pytest.mark.usefixtures("pyrender")
 
@@ -142,7 +143,7 @@ def test_a_shard_that_fails_is_named_and_the_others_are_written(tmp_path, monkey
 
 def test_many_failures_end_the_run(tmp_path, monkeypatch):
     monkeypatch.setattr(synthesis, "SHARD_VIEWS", 1)
-    monkeypatch.setattr(synthesis, "MAX_FAILED_SHARDS", 2)
+    monkeypatch.setattr(failures, "MOST", 2)
     for view in range(20):
         (tmp_path / f"person-0000-view-{view:05d}.npz").mkdir()
     with pytest.raises(UserError, match=r"^2 shards failed"):
@@ -191,7 +192,7 @@ def test_a_killed_run_leaves_no_process_and_goes_on(start, tmp_path):
 
 
 def test_processes_keep_to_one_core_and_this_one_does_not(tmp_path, monkeypatch):
-    from gazenerf.data.processes import ONE_CORE, launching
+    from gazenerf.execution.processes import ONE_CORE, launching
 
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     monkeypatch.delenv("LP_NUM_THREADS", raising=False)

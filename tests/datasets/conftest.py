@@ -85,8 +85,8 @@ def true_fit(monkeypatch):
 
     def install(truth, camera) -> TrueFit:
         double = TrueFit(truth, camera)
-        monkeypatch.setattr("gazenerf.datasets.person.fit_person", double.fit_person)
-        monkeypatch.setattr("gazenerf.datasets.person.fit_photographs", double.fit_photographs)
+        monkeypatch.setattr("gazenerf.datasets.picture_jobs.fit_person", double.fit_person)
+        monkeypatch.setattr("gazenerf.datasets.picture_jobs.fit_photographs", double.fit_photographs)
         return double
 
     return install

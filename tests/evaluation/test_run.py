@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+import pickle
 from pathlib import Path
 
 import pytest
 
 from gazenerf.checkpoints import save_field
-from gazenerf.data import SynthesizeOptions, synthesize
+from gazenerf.data import CaptureSet, SynthesizeOptions, synthesize
 from gazenerf.errors import UserError
+from gazenerf.evaluation.measuring import Measuring
+from gazenerf.evaluation.quality import Instruments, measurements
 from gazenerf.evaluation.run import EvaluateOptions, evaluate
 from gazenerf.training.run import TrainOptions, chosen_config, train_field
 from tests.field_doubles import make_field, tiny_config
@@ -43,6 +46,53 @@ def test_captures_become_a_field_and_a_report(captures: Path, tmp_path: Path) ->
     report = json.loads(found.file.read_text())
     assert report["unseen_people"] == [1] and report["unseen"]["captures"] == 1 == found.groups["unseen"]["captures"]
     assert report["people"]["1"]["psnr_head"] == found.people["1"]["psnr_head"]
+
+
+def test_what_fails_is_listed_and_the_next_run_measures_it_alone(captures: Path, tmp_path: Path, monkeypatch) -> None:
+    """With doubles of the field and of what measures it, which takes longer."""
+    sizes = CaptureSet(captures)[0].codes.sizes
+    names = dict(zip(("identity", "expression", "texture", "illumination"), sizes, strict=True))
+    save_field(make_field(tiny_config(**names)), tmp_path / "field.safetensors")
+    monkeypatch.setattr("gazenerf.evaluation.measuring._instruments", lambda *_: Instruments())
+    measured: list[str] = []
+
+    def measure(model, item, *_) -> list[dict[str, float]]:
+        measured.append(item.name)
+        if item.name == broken:
+            raise UserError("its depth is all sea")
+        return [{"psnr_head": 20.0 + item.capture.view / 3}]
+
+    monkeypatch.setattr("gazenerf.evaluation.measuring.measure", measure)
+    options = EvaluateOptions(
+        data=captures, out=tmp_path / "q.json", checkpoint=tmp_path / "field.safetensors", held_out=1, iris=False
+    )
+    broken = "person 1 view 2"
+    found = evaluate(options)
+    assert found.failed == {broken: "its depth is all sea"} and found.groups["all"]["captures"] == len(measured) - 1
+    assert json.loads(options.out.read_text())["failed"] == found.failed
+    everything, broken = list(measured), ""
+    measured.clear()
+    assert evaluate(options).failed == {} and measured == ["person 1 view 2"]
+    again, whole = json.loads(options.out.read_text()), None
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["field.safetensors", "q.json"]
+    measured.clear()
+    evaluate(options)
+    whole = json.loads(options.out.read_text())
+    assert measured == everything and whole == again, "a whole run gives the same"
+    broken = "person 1 view 2"
+    evaluate(options)
+    lines = (tmp_path / "q.json.rows").read_text().splitlines()
+    (tmp_path / "q.json.rows").write_text("\n".join(lines[:-1]) + "\n" + lines[-1][:20])
+    measured.clear()
+    evaluate(options)
+    assert len(measured) == 2, "a line that was cut short is measured again"
+
+
+def test_jobs_pass_between_processes(captures: Path) -> None:
+    job = Measuring(EvaluateOptions(data=captures, out=Path("q.json")), "abc")
+    items = measurements(CaptureSet(captures)[:1], [(0.0, 0.0)])
+    there, (capture, iris) = pickle.loads(pickle.dumps((job, items)))
+    assert there == job and (capture.capture.image == items[0].capture.image).all() and iris.name == items[1].name
 
 
 def test_captures_of_another_head_model_are_refused(captures: Path, tmp_path: Path) -> None:

@@ -5,9 +5,12 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+
+from gazenerf.cores import use_at_most
 
 ONE_CORE = {"OMP_NUM_THREADS": "1", "LP_NUM_THREADS": "1"}
 """What keeps NumPy's matrix products, torch, and Mesa's software rasterizer to one thread; read as they load."""
@@ -34,6 +37,18 @@ def launching() -> Iterator[None]:
                 os.environ[name] = value
         if held:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
+def keep_to_one_core() -> None:
+    """Let whatever this process computes keep to one core, as its neighbours on the other cores do.
+
+    Libraries that were not loaded read the environment as they load; OpenCV does not, so call this before each item.
+    """
+    os.environ.update(ONE_CORE)
+    use_at_most(1)
+    for library, limit in (("torch", "set_num_threads"), ("cv2", "setNumThreads")):
+        if library in sys.modules:
+            getattr(sys.modules[library], limit)(1)
 
 
 def follow_parent() -> None:

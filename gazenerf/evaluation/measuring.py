@@ -1,0 +1,130 @@
+"""What an evaluation is asked for, and the job of measuring."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+import torch
+
+from gazenerf.checkpoints import load_field
+from gazenerf.data.rasterizer import Rasterizer
+from gazenerf.devices import choose_device, product_dtype
+from gazenerf.errors import UserError
+from gazenerf.evaluation.quality import Instruments, Measurement, measure
+from gazenerf.evaluation.rows import Rows
+from gazenerf.execution import Tell
+from gazenerf.geometry import Camera, Gaze
+from gazenerf.head_model import load_head_model
+from gazenerf.options import option
+from gazenerf.subjects import Codes
+from gazenerf.training.gaze_estimator import load_gaze_estimator
+from gazenerf.training.perceptual import load_lpips
+from gazenerf.training.runtime import fast_bfloat16
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluateOptions:
+    """What is measured on what.
+
+    Attributes:
+        data: Folder of captures.
+        out: JSON report.
+        checkpoint: Field to measure, a bundled name or a file; `portrait` by default.
+        held_out, held_out_views: As given to training.
+        limit: At most so many captures of each person, evenly spread.
+        gaze_estimator: Reads gazes off pictures; the bundled one by default.
+        iris: Measure gaze by iris triangulation.
+        device: Where the field is computed; everything else is measured on the CPU.
+        precision: Of the field's matrix products.
+    """
+
+    data: Path = option(help="captures from `gazenerf synthesize`", metavar="DIR")
+    out: Path = option(help="JSON report", metavar="FILE")
+    checkpoint: Path | None = option(
+        None, "portrait, portrait-sdf or small, which are bundled, or a file (default: portrait)", metavar="FIELD"
+    )
+    held_out: int = option(1, "as given to `gazenerf train`", metavar="N")
+    held_out_views: float = option(0.05, "as given to train", metavar="SHARE")
+    limit: int | None = option(None, "at most N captures of each person, evenly spread", metavar="N")
+    gaze_estimator: Path | None = option(None, "default: bundled", metavar="FILE")
+    iris: bool = option(True, "skip gaze by iris triangulation", flag="--no-iris")
+    device: str = option("auto", "where the field is computed: cpu, cuda, or auto (default: auto)", metavar="DEVICE")
+    precision: str = option(
+        "auto", "of its matrix products: float32, float16, bfloat16, or auto for float16 on a GPU, bfloat16 on a CPU "
+        "with matrix tiles and float32 elsewhere (default: auto)", metavar="TYPE",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Measuring:
+    """The job of measuring; gives rows, and why what is left out is.
+
+    Attributes:
+        options: How.
+        weights_hash: Of the field.
+    """
+
+    options: EvaluateOptions
+    weights_hash: str
+
+    @contextlib.contextmanager
+    def opened(self) -> Iterator[Callable[[Measurement, Tell], tuple[Rows, dict[str, str]]]]:
+        """Load the field and what measures."""
+        options, left_out = self.options, dict[str, str]()
+        device = choose_device(options.device)
+        precision = chosen_precision(options, device)
+        product_dtype(precision, device)
+        model, head_model = load_field(options.checkpoint).to(device), load_head_model()
+        if model.weights_hash != self.weights_hash:
+            raise UserError(f"{options.checkpoint or 'the bundled field'} is another field here; give it the same one")
+        with contextlib.ExitStack() as stack:
+            instruments = _instruments(options, model.config.image_size, left_out, stack)
+            yield lambda item, _: (measure(model, item, head_model, instruments, precision), left_out)
+
+
+def chosen_precision(options: EvaluateOptions, device: torch.device) -> str:
+    """What `auto` means for matrix products on a device."""
+    return "bfloat16" if options.precision == "auto" and _has_tiles(device) else options.precision
+
+
+def _has_tiles(device: torch.device) -> bool:
+    return device.type == "cpu" and fast_bfloat16(device)
+
+
+def _instruments(
+    options: EvaluateOptions, size: int, left_out: dict[str, str], stack: contextlib.ExitStack
+) -> Instruments:
+    """What can measure here; why something cannot is put into `left_out`."""
+
+    def optional(name: str, make: Callable[[], T]) -> T | None:
+        try:
+            return make()
+        except UserError as error:
+            left_out[name] = str(error)
+            return None
+
+    if options.gaze_estimator is not None:
+        estimator = load_gaze_estimator(options.gaze_estimator)
+    else:
+        estimator = optional("gaze by the estimator", load_gaze_estimator)
+    lpips = optional("LPIPS", load_lpips)
+    reference = optional("the iris reference", lambda: _reference(size, stack)) if options.iris else None
+    return Instruments(estimator, lpips, reference)
+
+
+def _reference(size: int, stack: contextlib.ExitStack) -> Callable[[Codes, Gaze, Camera], np.ndarray]:
+    """Draws the head model's own pictures, (H, W, 3) in [0, 1]."""
+    model = load_head_model()
+    rasterizer = stack.enter_context(Rasterizer((size, size)))
+
+    def draw(codes: Codes, gaze: Gaze, camera: Camera) -> np.ndarray:
+        return rasterizer.render_lit(model.mesh(codes, gaze), codes.illumination, camera).image / 255.0
+
+    return draw
