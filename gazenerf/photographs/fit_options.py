@@ -14,6 +14,7 @@ from gazenerf.photographs.detector import Detection, detect
 from gazenerf.photographs.fit import Photograph
 from gazenerf.photographs.landmarks import choose_face, read_labels, read_landmarks, read_mask
 from gazenerf.photographs.picture import read_photograph
+from gazenerf.photographs.tuning import METHODS
 
 PERSON = 0.5
 """Probability from which a pixel counts as the person."""
@@ -53,6 +54,7 @@ class FieldFitOptions(FitOptions):
 
     Attributes:
         field: Fine-tune a field; without, the head model alone is fitted.
+        method: How the field is fine-tuned; see `gazenerf.photographs.tuning.METHODS`.
         quick: Fewer steps from fewer views, less like the person.
         checkpoint: The field; what is learned is of no use to another.
     """
@@ -61,6 +63,12 @@ class FieldFitOptions(FitOptions):
         True, "fine-tune the field to the person, which is the default",
         off=("--no-field", "fit the head model alone, in seconds; a field then draws a similar stranger"),
     )  # fmt: skip
+    method: str = option(
+        METHODS[0],
+        "teacher (default): colours, from the head model that wears the photograph; paper: codes and network, from the "
+        "masked photograph alone",
+        choices=METHODS,
+    )
     quick: bool = option(False, "fine-tune the field in fewer steps from fewer views: sooner, and less like the person")
     checkpoint: Path | None = option(
         None,
@@ -70,8 +78,10 @@ class FieldFitOptions(FitOptions):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.field and (self.quick or self.checkpoint is not None):
-            raise UserError("--quick and --checkpoint are about the field; leave out --no-field")
+        if self.method not in METHODS:
+            raise UserError(f"--method is {' or '.join(METHODS)}, got {self.method!r}")
+        if not self.field and (self.quick or self.checkpoint is not None or self.method != METHODS[0]):
+            raise UserError("--quick, --method and --checkpoint are about the field; leave out --no-field")
 
 
 def read_photographs(files: Sequence[Path], options: FitOptions) -> list[Photograph]:

@@ -13,6 +13,7 @@ from gazenerf.data.rasterizer import Rasterizer
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.photographs.appearance import STANDARD_LIPS, Seen, face_oval
 from gazenerf.photographs.teacher import Teacher, person_mask
+from gazenerf.subjects import Codes
 
 SHOWN = 2.8
 """World units that the photograph's square picture shows at the head, about as much as captures do."""
@@ -36,30 +37,36 @@ EYES_WINDOW = (0.375, 0.16)
 """Their width and height, shares of a picture's side."""
 
 
+OWN, AROUND_HEAD, EYES = "own", "around", "eyes"
+"""Kinds of lessons: the photograph, the teacher's head from all sides, and its eyes alone."""
+
+
 @dataclass(frozen=True)
 class Lesson:
     """A picture that the field should draw.
 
     Attributes:
+        codes: Of the person, in the photograph that it is about.
         camera, gaze: Of the picture.
         image: (3, H, W) float32 sRGB.
         mask: (H, W) float32, 0 where the picture says nothing.
-        own: Whether it is the photograph.
+        kind: `OWN`, `AROUND_HEAD` or `EYES`.
     """
 
+    codes: Codes
     camera: Camera
     gaze: Gaze
     image: torch.Tensor
     mask: torch.Tensor
-    own: bool = False
+    kind: str = AROUND_HEAD
 
 
-def photograph_lesson(seen: Seen, gaze: Gaze, size: int) -> Lesson:
+def photograph_lesson(seen: Seen, codes: Codes, gaze: Gaze, size: int) -> Lesson:
     """The photograph in a square picture around the head.
 
     Args:
         seen: The photograph with the fitted head.
-        gaze: Fitted.
+        codes, gaze: Fitted.
         size: Of the picture.
     """
     camera = seen.camera
@@ -78,7 +85,8 @@ def photograph_lesson(seen: Seen, gaze: Gaze, size: int) -> Lesson:
 
     told = person_mask(seen) | (face_oval(seen.landmarks, seen.image.shape[:2]) & (seen.raster.parts > 0))
     mask = moved(told.astype(np.float32), cv2.INTER_LINEAR)
-    return Lesson(square, gaze, _image(moved(seen.image, cv2.INTER_CUBIC)), torch.from_numpy(mask), own=True)
+    image = _image(moved(seen.image, cv2.INTER_CUBIC))
+    return Lesson(codes, square, gaze, image, torch.from_numpy(mask), OWN)
 
 
 def teacher_cameras(camera: Camera, size: int, around: tuple[tuple[int, int], ...]) -> list[Camera]:
@@ -92,12 +100,14 @@ def teacher_cameras(camera: Camera, size: int, around: tuple[tuple[int, int], ..
     return found
 
 
-def teacher_lesson(teacher: Teacher, renderer: Rasterizer, camera: Camera, gaze: Gaze) -> Lesson:
+def teacher_lesson(
+    teacher: Teacher, renderer: Rasterizer, camera: Camera, gaze: Gaze, kind: str = AROUND_HEAD
+) -> Lesson:
     """The teacher seen by a camera; on its outline and between its lips, where it has no teeth, it says nothing."""
     raster = teacher.view(renderer, camera, gaze)
     inside = cv2.erode((raster.parts > 0).astype(np.float32), np.ones((5, 5), np.uint8), borderValue=0)
     inside[_open_mouth(teacher, camera, gaze)] = 0.0
-    return Lesson(camera, gaze, _image(raster.image), torch.from_numpy(inside))
+    return Lesson(teacher.codes, camera, gaze, _image(raster.image), torch.from_numpy(inside), kind)
 
 
 def _open_mouth(teacher: Teacher, camera: Camera, gaze: Gaze) -> np.ndarray:
@@ -121,10 +131,10 @@ def _image(pixels: np.ndarray) -> torch.Tensor:
     return torch.from_numpy(np.ascontiguousarray(pixels)).permute(2, 0, 1).float() / 255.0
 
 
-def lessons(
+def teacher_lessons(
     teacher: Teacher, seen: Seen, gaze: Gaze, size: int, step: int, around: int = len(AROUND), eyes: int = 20
 ) -> Iterator[Lesson]:
-    """The photograph, the teacher from all sides, and its eyes at more gazes.
+    """The teacher from all sides, and its eyes at more gazes.
 
     Args:
         teacher: Of the person.
@@ -134,7 +144,6 @@ def lessons(
         around: How many of the cameras around are used.
         eyes: How many pictures show the eyes alone.
     """
-    yield photograph_lesson(seen, gaze, size)
     cameras = teacher_cameras(seen.camera, size, AROUND[:around])
     with Rasterizer((size, size)) as renderer:
         for number, camera in enumerate(cameras):
@@ -144,7 +153,7 @@ def lessons(
     with Rasterizer((window[0], window[1])) as renderer:
         for number in range(eyes):
             camera = eyes_camera(cameras[number % min(FRONT, around)], centre, (window[0], window[1]))
-            yield teacher_lesson(teacher, renderer, camera, Gaze.from_degrees(*GAZES[number % len(GAZES)]))
+            yield teacher_lesson(teacher, renderer, camera, Gaze.from_degrees(*GAZES[number % len(GAZES)]), EYES)
 
 
 def held_out_lessons(teacher: Teacher, seen: Seen, size: int) -> Iterator[Lesson]:

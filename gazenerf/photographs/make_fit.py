@@ -17,11 +17,11 @@ from gazenerf.errors import UserError
 from gazenerf.field.model import TwoStreamField
 from gazenerf.files import refuse_existing, whole_file
 from gazenerf.head_model import load_head_model
-from gazenerf.photographs.fine_tuning import QUICK, Tuning, check_field
 from gazenerf.photographs.fit import FittedPhotograph, fit_photographs
 from gazenerf.photographs.fit_options import FieldFitOptions, read_photographs
 from gazenerf.photographs.overlay import overlay
-from gazenerf.photographs.person_field import PersonField, fit_field
+from gazenerf.photographs.person_field import PersonField, check_tunable, fit_field
+from gazenerf.photographs.tuning import tuning_of
 from gazenerf.progress import Progress, silent
 from gazenerf.subjects import Subject
 
@@ -84,7 +84,7 @@ def make_fit(
         return [MadeFit(t.subject, t.overlay, t.json, item) for t, item in zip(targets, fitted, strict=True)]
     made = []
     for target, item in zip(targets, fitted, strict=True):
-        tuning = QUICK if options.quick else Tuning()
+        tuning = tuning_of(options.method, options.quick)
         person = fit_field(
             field, item, model, tuning, progress, lambda picture, to=target: _save_srgb(to.field, picture)
         )
@@ -120,7 +120,7 @@ def _field(options: FieldFitOptions, sizes: tuple[int, ...]) -> TwoStreamField:
         UserError: it cannot be read, cannot be fine-tuned, or takes other codes than the head model's.
     """
     field = load_field(options.checkpoint)
-    check_field(field)
+    check_tunable(field, options.method)
     if field.config.code_sizes != tuple(sizes):
         raise UserError(
             f"the field takes codes of {field.config.code_sizes}, the head model has {tuple(sizes)}; give a field made "

@@ -16,7 +16,7 @@ from gazenerf.cli.main import main
 from gazenerf.geometry import Gaze
 from gazenerf.head_model import load_head_model
 from gazenerf.head_model.interface import FACE
-from gazenerf.photographs.fine_tuning import Tuning
+from gazenerf.photographs.tuning import Tuning
 from gazenerf.subjects import Subject
 
 
@@ -51,7 +51,7 @@ def test_the_field_is_fine_tuned_and_every_command_draws_the_person(folder, tmp_
     monkeypatch.setattr("gazenerf.photographs.shape_fit.STEPS", 15)
     monkeypatch.setattr("gazenerf.photographs.shape_fit.MORE_STEPS", 5)
     short = Tuning("quick", around=1, eye_views=1, steps=24, check_every=12)
-    monkeypatch.setattr("gazenerf.photographs.make_fit.QUICK", short)
+    monkeypatch.setattr("gazenerf.photographs.tuning.QUICK", short)
     out = tmp_path / "me.safetensors"
     words = ["--landmarks", str(folder / "marks.npy"), "--quick", "--checkpoint", "small", "--out", str(out)]
     assert main(["fit", str(folder / "me.png"), *words]) == 0
