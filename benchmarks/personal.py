@@ -47,7 +47,7 @@ def gaze_errors(field: TwoStreamField, subject: Subject, model: HeadModel) -> li
 def measured(field: TwoStreamField, fitted: FittedPhotograph, model: HeadModel, tuning: Tuning) -> dict[str, Any]:
     """One photograph's numbers."""
     started = time.process_time()
-    found = fit_field(field, fitted, model, tuning)
+    (found,) = fit_field(field, [fitted], model, tuning)
     row = found.measured | {"processor_seconds": time.process_time() - started}
     for name, subject in (("before", fitted.subject), ("after", found.subject)):
         errors = gaze_errors(field, subject, model)

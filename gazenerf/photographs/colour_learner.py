@@ -7,7 +7,8 @@ and compared; views that are not learned from tell when to stop.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -18,6 +19,7 @@ from gazenerf.heads import Head
 from gazenerf.heads.personal import with_changes
 from gazenerf.photographs.held_views import HeldView, Window, draw_held, hold_view
 from gazenerf.photographs.lessons import AROUND_HEAD, EYES, OWN, Lesson
+from gazenerf.photographs.optimised import Optimised
 from gazenerf.photographs.tuning import Tuning
 from gazenerf.progress import Progress, counted, silent
 from gazenerf.subjects import Codes, Subject
@@ -86,25 +88,22 @@ class ColourLearner:
         self.tuned, self.learned = _to_be_learned(field)
         plane = [value for name, value in self.learned.items() if name.endswith("plane.values")]
         rest = [value for name, value in self.learned.items() if not name.endswith("plane.values")]
-        self.optimizer = torch.optim.Adam([{"params": rest, "lr": RATE}, {"params": plane, "lr": PLANE_RATE}])
-        self.rates = [group["lr"] for group in self.optimizer.param_groups]
+        optimizer = torch.optim.Adam([{"params": rest, "lr": RATE}, {"params": plane, "lr": PLANE_RATE}])
+        self.optimised = Optimised(self.learned, optimizer)
         self.chances = chances([lesson.kind for lesson in lessons])
 
     def step(self, number: int) -> float:
         """One window of one lesson; what is drawn depends on the number of the step alone. The loss."""
         rng = np.random.default_rng((0, number))
         left = LAST_RATE + 0.5 * (1.0 - LAST_RATE) * (1.0 + math.cos(math.pi * number / self.steps))
-        for group, rate in zip(self.optimizer.param_groups, self.rates, strict=True):
+        for group, rate in zip(self.optimised.optimizer.param_groups, (RATE, PLANE_RATE), strict=True):
             group["lr"] = rate * left
         lesson, view = self.pairs[rng.choice(len(self.pairs), p=self.chances)]
         window = _window(view, rng)
         image = draw_held(self.tuned, view, window)
         target, weight = _part(lesson, view, window, image)
         loss = ((image - target).abs() * weight).sum() / weight.sum().clamp(min=1.0)
-        self.optimizer.zero_grad(set_to_none=True)
-        loss.backward()
-        self.optimizer.step()
-        return float(loss.detach())
+        return self.optimised.descend(loss)
 
     def agreement(self) -> float:
         """Decibels inside the masks of the held-out lessons, of all their pixels together."""
@@ -117,11 +116,12 @@ class ColourLearner:
         return -10.0 * math.log10(max(error / max(count, 1.0), 1e-12))
 
     def pictures(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """The photograph and the held-out views, each (H, W, 3) float32 sRGB: what is to be seen, and the field."""
+        """The photographs and the held-out views, each (H, W, 3) float32 sRGB: what is to be seen, and the field."""
+        own = [pair for pair in self.pairs if pair[0].kind == OWN]
         with torch.no_grad():
             return [
                 (lesson.image.permute(1, 2, 0).numpy(), draw_held(self.tuned, view).permute(1, 2, 0).numpy())
-                for lesson, view in [self.pairs[0], *self.watched]
+                for lesson, view in [*own, *self.watched]
             ]
 
     def changes(self) -> dict[str, np.ndarray]:
@@ -135,6 +135,14 @@ class ColourLearner:
     def codes(self) -> list[Codes] | None:
         """Codes are held."""
         return None
+
+    def state(self) -> dict[str, Any]:
+        """See `Optimised`."""
+        return self.optimised.state()
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """See `Optimised`."""
+        self.optimised.restore(state)
 
 
 class _Heads:

@@ -12,7 +12,8 @@ import torch
 from gazenerf.data.rasterizer import Rasterizer
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.photographs.appearance import STANDARD_LIPS, Seen, face_oval
-from gazenerf.photographs.teacher import Teacher, person_mask
+from gazenerf.photographs.teacher import Teacher
+from gazenerf.photographs.told_colours import person_mask
 from gazenerf.subjects import Codes
 
 SHOWN = 2.8
@@ -32,6 +33,9 @@ GAZES = ((0, 0), (12, 22), (-12, -22), (-14, 18), (14, -18), (0, 30), (0, -30), 
 
 FRONT = 7
 """How many of the first cameras around see both eyes."""
+
+FURTHER = 7
+"""How many cameras around, and pictures of eyes, each further photograph of the same person adds at most."""
 
 EYES_WINDOW = (0.375, 0.16)
 """Their width and height, shares of a picture's side."""

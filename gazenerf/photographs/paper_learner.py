@@ -12,9 +12,10 @@ surface instead of 64 along each ray.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import torch
@@ -28,6 +29,7 @@ from gazenerf.personal_weights import MAX_BYTES
 from gazenerf.photographs.appearance import Seen
 from gazenerf.photographs.lessons import Lesson
 from gazenerf.photographs.masked_comparison import MaskedComparison
+from gazenerf.photographs.optimised import Optimised
 from gazenerf.photographs.tuning import Tuning
 from gazenerf.subjects import Codes
 from gazenerf.training.batches import Batch, BatchMaker, RayTargets
@@ -97,8 +99,9 @@ class PaperLearner:
         self.objective = Objective(
             self.tuned, self.config, len(captures), features, estimate_gaze, replace(REFERENCE, perceptual=compare)
         )
-        values = [*self.learned.values(), *self._offsets]
-        self.optimizer = torch.optim.Adam(values, lr=self.config.learning_rate)
+        offsets = {f"codes.{number}": offset for number, offset in enumerate(self._offsets)}
+        values = {**self.learned, **offsets}
+        self.optimised = Optimised(values, torch.optim.Adam(values.values(), lr=self.config.learning_rate))
         self.maker = BatchMaker(self.captures, config.feature_size, config.ray_offset, slabs)
         self.maker.targets = [
             near_mask(target, capture, config.feature_size)
@@ -117,10 +120,7 @@ class PaperLearner:
             loss, _ = self.objective(self._batch(number), number)
         if not bool(torch.isfinite(loss)):
             raise UserError("the loss is not finite; the field cannot be fine-tuned to this photograph")
-        self.optimizer.zero_grad(set_to_none=True)
-        loss.backward()
-        self.optimizer.step()
-        return float(loss.detach())
+        return self.optimised.descend(loss)
 
     def _batch(self, number: int) -> Batch:
         return self.maker.batch([number % len(self.captures)], np.random.default_rng(number))
@@ -160,6 +160,14 @@ class PaperLearner:
             Codes(*(getattr(capture.codes, name) + move[i] for name, move in zip(names, moves, strict=True)))
             for i, capture in enumerate(self.captures)
         ]
+
+    def state(self) -> dict[str, Any]:
+        """See `Optimised`."""
+        return self.optimised.state()
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """See `Optimised`."""
+        self.optimised.restore(state)
 
 
 def learned_names(field: TwoStreamField) -> list[str]:

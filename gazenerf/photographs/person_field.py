@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,17 +17,22 @@ from gazenerf.heads import Head
 from gazenerf.image_metrics import psnr
 from gazenerf.personal_weights import PersonalWeights
 from gazenerf.photographs.colour_learner import ColourLearner, check_field
-from gazenerf.photographs.fine_tuning import Learner, learn
+from gazenerf.photographs.fine_tuning import Learner, Pictures, Preview, learn
 from gazenerf.photographs.fit import FittedPhotograph, face_psnr
-from gazenerf.photographs.lessons import Lesson, held_out_lessons, photograph_lesson, teacher_lessons
+from gazenerf.photographs.lessons import FURTHER, Lesson, held_out_lessons, photograph_lesson, teacher_lessons
 from gazenerf.photographs.paper_learner import PaperLearner, learned_names, masked_capture, paper_networks
-from gazenerf.photographs.teacher import Teacher, make_teacher
+from gazenerf.photographs.state_file import StateFile
+from gazenerf.photographs.teacher import Teacher, make_teachers
+from gazenerf.photographs.told_colours import told_by
 from gazenerf.photographs.tuning import Tuning
 from gazenerf.progress import Progress, silent
 from gazenerf.subjects import Subject
 
 INTEROCULAR = 100.0
 """Pixels between the eyes at which the field is drawn to be compared; about what it has learned from."""
+
+COLUMNS = 5
+"""Of a preview, at most."""
 
 
 @dataclass(frozen=True)
@@ -65,62 +70,102 @@ def check_tunable(field: TwoStreamField, method: str) -> None:
 
 def fit_field(
     field: TwoStreamField,
-    fitted: FittedPhotograph,
+    fitted: Sequence[FittedPhotograph],
     model: HeadModel,
     tuning: Tuning | None = None,
     progress: Progress = silent,
-    look: Callable[[np.ndarray], None] | None = None,
-) -> PersonField:
-    """Fine-tune a field to the person of a fitted photograph.
+    state: StateFile | None = None,
+    preview: Preview | None = None,
+) -> list[PersonField]:
+    """Fine-tune a field to the person of fitted photographs, which are learned together.
+
+    What is learned of the field is the same for all photographs; codes, light, expression, camera and gaze are of each.
 
     Args:
         field: As it was trained; it is not changed.
-        fitted: The photograph's fit.
-        model: The head model of the fit.
-        tuning: By which method, how long, and from how many views.
+        fitted: The photographs' fits.
+        model: The head model of the fits.
+        tuning: By which method, how long, and from how many views, of a single photograph.
         progress: Told of every stage.
-        look: Given a picture (H, W, 3) float32 sRGB of how far it is: what is to be seen above what is drawn.
+        state: Where it is kept how far it is; a run that was cut short goes on from there.
+        preview: Of how far it is.
 
     Raises:
-        UserError: see `check_tunable`, or the field takes other codes.
+        UserError: see `check_tunable`, the field takes other codes, or the state is damaged.
     """
-    started, tuning = time.perf_counter(), tuning or Tuning()
+    started, tuning = time.perf_counter(), (tuning or Tuning()).for_photographs(len(fitted))
     check_tunable(field, tuning.method)
-    subject, seen, size = fitted.subject, fitted.seen, field.config.image_size
-    teacher = make_teacher(model, subject.codes, subject.gaze, seen)
-    held = list(held_out_lessons(teacher, seen, size))
-    own = photograph_lesson(seen, subject.codes, subject.gaze, size)
-    learner = _learner(field, fitted, teacher, (own, held), tuning, progress)
-    course = learn(learner, tuning, progress, None if look is None else lambda: look(sheet(learner.pictures())))
-    seconds = time.perf_counter() - started
-    codes = subject.codes if course.codes is None else course.codes[0]
-    about = {"fine_tuned": True, "fine_tuned_field": field.weights_hash, "method": tuning.method, "tuning": tuning.name}
+    views = _views(fitted, model, field.config.image_size)
+    learner = _learner(field, fitted, views, tuning, progress)
+    course = learn(learner, tuning, progress, state, preview)
+    if preview is not None:
+        preview.show(learner.pictures())
     personal = PersonalWeights(field.weights_hash, course.kept)
-    better = replace(subject, codes=codes, personal=personal, provenance=subject.provenance | about)
-    before, after = (Head(field, one, device="cpu", precision="float32") for one in (subject, better))
-    pictures = [_compared(before, after, item) for item in (own, *held)]
-    measured = _measured(fitted, (before, after), held, pictures[1:]) | {
-        "method": tuning.method, "steps": course.done, "seconds": seconds, "bytes": personal.nbytes
-    }  # fmt: skip
-    return PersonField(better, measured, pictures)
+    shared = {"method": tuning.method, "steps": course.done, "seconds": time.perf_counter() - started,
+              "bytes": personal.nbytes, "photographs": len(fitted)}  # fmt: skip
+    about = {"fine_tuned": True, "fine_tuned_field": field.weights_hash, "method": tuning.method,
+             "tuning": tuning.name, "fine_tuned_photographs": len(fitted)}  # fmt: skip
+    found = []
+    for number, (item, seen) in enumerate(zip(fitted, views, strict=True)):
+        codes = item.subject.codes if course.codes is None else course.codes[number]
+        provenance = item.subject.provenance | about
+        better = replace(item.subject, codes=codes, personal=personal, provenance=provenance)
+        found.append(_judged(field, item, better, seen, shared))
+    return found
+
+
+@dataclass(frozen=True)
+class _Views:
+    """Of one photograph: its teacher, itself as a lesson, and the views beside it that are only looked at."""
+
+    teacher: Teacher
+    own: Lesson
+    held: list[Lesson]
+
+
+def _views(fitted: Sequence[FittedPhotograph], model: HeadModel, size: int) -> list[_Views]:
+    told = [told_by(model, item.subject.codes, item.subject.gaze, item.seen) for item in fitted]
+    return [
+        _Views(
+            teacher,
+            photograph_lesson(item.seen, item.subject.codes, item.subject.gaze, size),
+            list(held_out_lessons(teacher, item.seen, size)),
+        )
+        for item, teacher in zip(fitted, make_teachers(model, told), strict=True)
+    ]
 
 
 def _learner(
-    field: TwoStreamField, fitted: FittedPhotograph, teacher: Teacher, views: tuple[Lesson, list[Lesson]],
-    tuning: Tuning, progress: Progress,
-) -> Learner:  # fmt: skip
-    """What learns by the method of `tuning`; `views` are the photograph and those beside it."""
-    own, held = views
+    field: TwoStreamField,
+    fitted: Sequence[FittedPhotograph],
+    views: list[_Views],
+    tuning: Tuning,
+    progress: Progress,
+) -> Learner:
+    """What learns by the method of `tuning`."""
     if tuning.method == "paper":
-        return PaperLearner(field, [masked_capture(own, fitted.seen)], tuning, *paper_networks())
+        captures = [masked_capture(one.own, item.seen) for one, item in zip(views, fitted, strict=True)]
+        return PaperLearner(field, captures, tuning, *paper_networks())
     size, step = field.config.image_size, field.config.upsampling
-    around = teacher_lessons(teacher, fitted.seen, fitted.subject.gaze, size, step, tuning.around, tuning.eye_views)
-    return ColourLearner(field, [own, *around], held, tuning, progress)
+    learned, around, eyes = [one.own for one in views], tuning.around, tuning.eye_views
+    for one, item in zip(views, fitted, strict=True):
+        learned += teacher_lessons(one.teacher, item.seen, item.subject.gaze, size, step, around, eyes)
+        around, eyes = min(around, FURTHER), min(eyes, FURTHER)
+    return ColourLearner(field, learned, [item for one in views for item in one.held], tuning, progress)
 
 
-def sheet(pictures: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    """(2 H, N W, 3): what is to be seen above what is drawn."""
-    return np.concatenate([np.concatenate(row, axis=1) for row in zip(*pictures, strict=True)], axis=0)
+def _judged(
+    field: TwoStreamField, fitted: FittedPhotograph, better: Subject, views: _Views, shared: dict[str, Any]
+) -> PersonField:
+    """What one photograph gained."""
+    before, after = (Head(field, one, device="cpu", precision="float32") for one in (fitted.subject, better))
+    pictures = [_compared(before, after, item) for item in (views.own, *views.held)]
+    return PersonField(better, _measured(fitted, (before, after), views.held, pictures[1:]) | shared, pictures)
+
+
+def sheet(pictures: Pictures) -> np.ndarray:
+    """(2 H, N W, 3): what is to be seen above what is drawn, of the first `COLUMNS`."""
+    return np.concatenate([np.concatenate(row, axis=1) for row in zip(*pictures[:COLUMNS], strict=True)], axis=0)
 
 
 def _compared(before: Head, after: Head, item: Lesson) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -17,7 +17,7 @@ from gazenerf.image_metrics import psnr
 from gazenerf.personal_weights import PersonalWeights
 from gazenerf.photographs.appearance import Seen
 from gazenerf.photographs.colour_learner import SHARES, ColourLearner, chances
-from gazenerf.photographs.fine_tuning import learn
+from gazenerf.photographs.fine_tuning import Preview, learn
 from gazenerf.photographs.held_views import draw_held, hold_view
 from gazenerf.photographs.landmarks import FaceLandmarks
 from gazenerf.photographs.lessons import Lesson, held_out_lessons, photograph_lesson, teacher_lessons
@@ -125,10 +125,10 @@ def test_a_person_is_learned_and_the_geometry_held(small, subject, teacher, seen
 
     learner = ColourLearner(small, learned, held, tuning, tell)
     start = learner.agreement()
-    course = learn(learner, tuning, tell, lambda: looks.append(learner.pictures()))
+    course = learn(learner, tuning, tell, preview=Preview(looks.append, 1e6))
     assert course.best is not None and course.done == 60 and course.best > start + 3.0
     assert [picture.shape for picture in looks[0][2]] == 2 * [(SIZE, SIZE, 3)]
-    assert len(looks) == 2 and len(told) == 8 + 60
+    assert len(looks) == 1 and len(told) == 8 + 60
     better = replace(subject, personal=PersonalWeights(small.weights_hash, course.kept))
     assert all(".feature_" in name or ".plane." in name for name in course.kept)
     before, after = Head(small, subject).at(Gaze()), Head(small, better).at(Gaze())

@@ -69,7 +69,7 @@ def test_the_masked_photograph_is_learned_and_the_subject_draws_it(kind: str) ->
     item, tuning = capture(subject), Tuning("short", "paper", steps=8)
     untouched = {name: value.clone() for name, value in field.state_dict().items()}
     learner = PaperLearner(field, [item], tuning, features, looked_at)
-    learner.optimizer.param_groups[0]["lr"] = 2e-3  # a field of random weights is far from any picture
+    learner.optimised.optimizer.param_groups[0]["lr"] = 2e-3  # a field of random weights is far from any picture
     (_, before) = learner.pictures()[0]
     course = learn(learner, tuning)
     (wanted, after) = learner.pictures()[0]
