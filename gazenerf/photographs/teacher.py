@@ -58,31 +58,37 @@ class Teacher:
 
 
 def make_teachers(model: HeadModel, told: Sequence[Told]) -> list[Teacher]:
-    """The teacher of each of a person's photographs, in its own light.
-
-    What one photograph does not show it has from the others, moved by what differs where both show it, so that light
-    and exposure stay its own.
+    """The teacher of each of a person's photographs; see `teacher_from`.
 
     Args:
         model: The head model.
         told: What each photograph tells.
     """
-    teachers = []
-    for number, own in enumerate(told):
-        others = [item for i, item in enumerate(told) if i != number]
-        skin = np.unique(own.mesh.part_faces(FACE))
-        differences = np.zeros_like(own.wanted)
-        wanted, trust = _with_others(own, others, skin)
-        if trust.any():
-            differences[skin] = _continued(own.mesh, skin, trust, wanted)
-            _colour_eyes(differences, own.wanted, own.mesh, own.gaze, own.shown)
-        teachers.append(Teacher(model, own.codes, differences))
-    return teachers
+    return [teacher_from(model, own, [*told[:number], *told[number + 1 :]]) for number, own in enumerate(told)]
+
+
+def teacher_from(model: HeadModel, own: Told, others: Sequence[Told] = ()) -> Teacher:
+    """The teacher of a photograph, in its own light.
+
+    What it does not show is taken from other photographs of the person, moved by what differs where both show it, so
+    that light and exposure stay its own.
+
+    Args:
+        model: The head model.
+        own, others: What the photograph and the others tell.
+    """
+    skin = np.unique(own.mesh.part_faces(FACE))
+    differences = np.zeros_like(own.wanted)
+    wanted, trust = _with_others(own, others, skin)
+    if trust.any():
+        differences[skin] = _continued(own.mesh, skin, trust, wanted)
+        _colour_eyes(differences, own.wanted, own.mesh, own.gaze, own.shown)
+    return Teacher(model, own.codes, differences)
 
 
 def make_teacher(model: HeadModel, codes: Codes, gaze: Gaze, seen: Seen) -> Teacher:
     """The teacher of a single photograph; see `told_by`."""
-    return make_teachers(model, [told_by(model, codes, gaze, seen)])[0]
+    return teacher_from(model, told_by(model, codes, gaze, seen))
 
 
 def _with_others(own: Told, others: Sequence[Told], skin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -88,6 +88,7 @@ def test_a_fit_that_was_stopped_goes_on_and_leaves_no_state(folder, tmp_path, ca
     monkeypatch.setattr("gazenerf.photographs.tuning.PAPER", Tuning("paper", "paper", steps=4))
     networks = (lambda images: [images], lambda images: images.mean((2, 3))[:, :2])
     monkeypatch.setattr("gazenerf.photographs.person_field.paper_networks", lambda: networks)
+    monkeypatch.setattr("gazenerf.photographs.person_field.INTEROCULAR", 20.0)
     fits: list[Any] = []
     monkeypatch.setattr(
         make_fit, "fit_photographs", lambda *given: fits or fits.extend(fit_photographs(*given)) or fits

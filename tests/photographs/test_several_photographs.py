@@ -17,8 +17,8 @@ from gazenerf.photographs.fit import FittedPhotograph
 from gazenerf.photographs.landmarks import FaceLandmarks
 from gazenerf.photographs.person_field import fit_field
 from gazenerf.photographs.rendered_people import rendered_photographs
-from gazenerf.photographs.teacher import make_teachers
-from gazenerf.photographs.told_colours import told_by
+from gazenerf.photographs.teacher import Teacher, teacher_from
+from gazenerf.photographs.told_colours import Told, told_by
 from gazenerf.photographs.tuning import Tuning
 from gazenerf.subjects import Subject
 from tests.field_doubles import make_field, tiny_config
@@ -51,8 +51,14 @@ def known(model):
 
 @pytest.fixture(scope="module")
 def views(model, known):
-    """What both methods begin with, made once."""
-    return person_field._views([item for _, item in known], model, 32)
+    """What both methods begin with, made once, by teachers with the fitted colours."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(person_field, "make_teachers", lambda model, told: [plain_teacher(model, one) for one in told])
+        return person_field._views([item for _, item in known], model, 32)
+
+
+def plain_teacher(model, told: Told) -> Teacher:
+    return Teacher(model, told.codes, 0.0 * told.wanted)
 
 
 def told(model, fitted: FittedPhotograph):
@@ -64,7 +70,7 @@ def test_a_teacher_has_from_the_other_photograph_what_its_own_does_not_show(mode
     skin = np.unique(own.mesh.part_faces(FACE))
     hidden = skin[(own.trust[skin] == 0.0) & (other.trust[skin] > 0.9)]
     assert len(hidden) > 200
-    alone, together = make_teachers(model, [own])[0], make_teachers(model, [own, other])[0]
+    alone, together = teacher_from(model, own), teacher_from(model, own, [other])
     plain = shade(own.mesh, own.codes.illumination)
     error = [np.abs(plain + one.differences - known[0][0])[hidden].mean() for one in (alone, together)]
     assert error[1] < 0.6 * error[0], "in its own light, which the other photograph does not have"
@@ -75,6 +81,7 @@ def test_a_teacher_has_from_the_other_photograph_what_its_own_does_not_show(mode
 def test_the_paper_learns_one_field_and_codes_for_each(model, known, views, monkeypatch):
     monkeypatch.setattr(person_field, "_views", lambda *given: views)
     monkeypatch.setattr(person_field, "paper_networks", lambda: (features, looked_at))
+    monkeypatch.setattr(person_field, "INTEROCULAR", 20.0)
     slabs = tiny_config(expression=52, texture=36, merge="max", sampler="slabs", samples=6)
     first, second = fit_field(make_field(slabs), [item for _, item in known], model, Tuning("x", "paper", steps=3))
     assert first.measured["photographs"] == 2 and first.measured["steps"] == 4
@@ -91,6 +98,7 @@ def test_the_teachers_of_all_photographs_are_learned_from(model, known, views, m
 
     given = []
     monkeypatch.setattr(person_field, "_views", lambda *given: views)
+    monkeypatch.setattr(person_field, "FURTHER", 1)
 
     def taken(field, lessons, held_out, tuning, progress):
         given.extend([lessons, held_out])
@@ -99,10 +107,10 @@ def test_the_teachers_of_all_photographs_are_learned_from(model, known, views, m
     monkeypatch.setattr(person_field, "ColourLearner", taken)
     with pytest.raises(Stop):
         field = make_field(tiny_config(expression=52, texture=36))
-        fit_field(field, [item for _, item in known], model, Tuning("x", around=9, eye_views=8))
+        fit_field(field, [item for _, item in known], model, Tuning("x", around=2, eye_views=2))
     lessons, held_out = given
     lights = [item.subject.codes.illumination for _, item in known]
     whose = [next(i for i in (0, 1) if item.codes.illumination is lights[i]) for item in lessons]
     assert [item.kind for item in lessons[:2]] == ["own", "own"] and whose[:2] == [0, 1]
-    assert whose[2:] == 17 * [0] + 14 * [1], "the first photograph's teacher from all sides, the other's from before"
+    assert whose[2:] == 4 * [0] + 2 * [1], "the first photograph's teacher from all sides, the other's from before"
     assert [item.codes.illumination is lights[1] for item in held_out] == [False, False, True, True]
