@@ -1,11 +1,12 @@
 """What fine-tuning a field to a person gains: renders of people whose codes are hidden, and photographs.
 
     python -m benchmarks.personal --people 3 --photographs portrait.png --out personal.json
+    python -m benchmarks.personal --people 0 --photographs portrait.png --methods teacher paper
 
-For each: decibels inside the face oval of the photograph, decibels of two views 20 degrees beside it against the head
-model in the photograph's colours, and degrees between commanded gazes and those that the iris gauge reads from the
-field's pictures, before and after; seconds of processor time; bytes of the subject file. Landmarks of the rendered
-people are MediaPipe's, or with `--landmarks projected` true ones that are missed at random.
+For each and each method: decibels inside the face oval of the photograph, decibels of two views 20 degrees beside it
+against the head model in the photograph's colours, and degrees between commanded gazes and those that the iris gauge
+reads from the field's pictures, before and after; seconds of processor time; bytes of the subject file. Landmarks of
+the rendered people are MediaPipe's, or with `--landmarks projected` true ones that are missed at random.
 """
 
 from __future__ import annotations
@@ -29,10 +30,10 @@ from gazenerf.head_model.interface import HeadModel
 from gazenerf.heads import Head
 from gazenerf.photographs.correspondence import table_for
 from gazenerf.photographs.detector import detect
-from gazenerf.photographs.fine_tuning import QUICK, Tuning
 from gazenerf.photographs.fit import FittedPhotograph, Photograph, fit_photographs
 from gazenerf.photographs.fit_options import FitOptions, read_photographs
 from gazenerf.photographs.person_field import fit_field
+from gazenerf.photographs.tuning import METHODS, Tuning, tuning_of
 from gazenerf.subjects import Subject
 
 
@@ -46,7 +47,7 @@ def gaze_errors(field: TwoStreamField, subject: Subject, model: HeadModel) -> li
 def measured(field: TwoStreamField, fitted: FittedPhotograph, model: HeadModel, tuning: Tuning) -> dict[str, Any]:
     """One photograph's numbers."""
     started = time.process_time()
-    found = fit_field(field, fitted, model, tuning)
+    (found,) = fit_field(field, [fitted], model, tuning)
     row = found.measured | {"processor_seconds": time.process_time() - started}
     for name, subject in (("before", fitted.subject), ("after", found.subject)):
         errors = gaze_errors(field, subject, model)
@@ -82,6 +83,7 @@ def main() -> None:
     parser.add_argument("--photographs", type=Path, nargs="*", default=[])
     parser.add_argument("--photo-python", type=Path, help="interpreter that has MediaPipe")
     parser.add_argument("--checkpoint", default="portrait")
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS[:1])
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--out", type=Path, help="JSON")
     args = parser.parse_args()
@@ -91,9 +93,10 @@ def main() -> None:
         fits += fit_photographs(read_photographs([file], FitOptions(photo_python=args.photo_python)), model)
     rows = {}
     for fitted in fits:
-        name = str(fitted.subject.provenance["photograph"])
-        rows[name] = measured(field, fitted, model, QUICK if args.quick else Tuning())
-        print(name, {key: round(value, 2) for key, value in rows[name].items() if value is not None}, flush=True)
+        for method in args.methods:
+            name = f"{fitted.subject.provenance['photograph']}, {method}"
+            rows[name] = measured(field, fitted, model, tuning_of(method, args.quick))
+            print(name, {key: round(v, 2) for key, v in rows[name].items() if isinstance(v, (int, float))}, flush=True)
     write_json(args.out, {"machine": machine(), "checkpoint": args.checkpoint, "quick": args.quick, "rows": rows})
 
 

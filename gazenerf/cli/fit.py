@@ -60,14 +60,14 @@ def run(options: Options) -> int:
         if item.field is None:
             rows["note"] = "the field is not fine-tuned to this person: it draws a similar stranger"
         else:
-            rows |= {"field before and after": item.field_picture, **_field_rows(item.field.measured)}
+            rows |= {"field before and after": item.field_picture, **_field_rows(item.field.measured, item.resumed)}
             facts["field"] = item.field.measured
         name = str(fitted.provenance["photograph"])
         summary_table(f"fit of {name}", rows, {name: facts})
     return 0
 
 
-def _field_rows(measured: dict[str, Any]) -> dict[str, str]:
+def _field_rows(measured: dict[str, Any], resumed: bool) -> dict[str, str]:
     """What fine-tuning gained, for the table."""
 
     def gained(name: str) -> str:
@@ -77,5 +77,6 @@ def _field_rows(measured: dict[str, Any]) -> dict[str, str]:
     return {
         "field in the face oval": gained("face_psnr_db"),
         "field 20 degrees aside": gained("beside_psnr_db") + ", against the head model in the photograph's colours",
-        "field learned in": f"{measured['seconds']:.0f} s, {measured['steps']} steps",
+        "field learned in": f"{measured['seconds']:.0f} s, {measured['steps']} steps"
+        + (", going on with an earlier run" if resumed else ""),
     }

@@ -1,236 +1,179 @@
-"""A field's colours fine-tuned to one person, its geometry held.
-
-The feature layers of both streams are learned, and a plane of features for the face. Windows of the lessons are drawn
-and compared; views that are not learned from tell when to stop.
-"""
+"""A person is learned step by step, until nothing is gained or the steps are made; a run that was cut short goes on."""
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
 
 import numpy as np
 import torch
 
-from gazenerf.errors import UserError
-from gazenerf.field.model import TwoStreamField
-from gazenerf.heads import Head
-from gazenerf.heads.personal import with_changes
-from gazenerf.personal_weights import PersonalWeights
-from gazenerf.photographs.held_views import HeldView, Window, draw_held, hold_view
-from gazenerf.photographs.lessons import Lesson
-from gazenerf.progress import Progress, counted, silent
-from gazenerf.subjects import Codes, Subject
+from gazenerf.photographs.state_file import StateFile
+from gazenerf.photographs.tuning import Tuning
+from gazenerf.progress import Progress, silent
+from gazenerf.subjects import Codes
 
-PLANE = (16, 160, 320)
-"""Channels, rows and columns of the face's plane of features: 1.1 degrees, about 2 mm on the face."""
+SAVE_SECONDS = 20.0
+"""Between two states that are written."""
 
-WINDOW, BORDER = 40, 2
-"""Side of the windows that are drawn at a step, feature pixels, and how many on each side do not count, since what the
-neural renderer blurs into them was not drawn."""
-
-OWN_SHARE, EYES_SHARE = 0.35, 0.2
-"""Shares of the steps that look at the photograph and at eyes."""
-
-RATE, PLANE_RATE, LAST_RATE = 1.5e-3, 2e-2, 0.05
-"""Learning rates of weights and of the plane's values, and the share of them that is left at the end."""
+Pictures = list[tuple[np.ndarray, np.ndarray]]
+"""What is to be seen and what is drawn, (H, W, 3) float32 sRGB each."""
 
 
-@dataclass(frozen=True)
-class Tuning:
-    """How long is learned.
+class Learner(Protocol):
+    """What learns: `gazenerf.photographs.colour_learner` or `gazenerf.photographs.paper_learner`."""
 
-    Attributes:
-        name: Of these settings.
-        around, eye_views: How many views are learned from; see `gazenerf.photographs.lessons.lessons`.
-        steps: At most.
-        check_every: Steps between looks at the held-out views.
-        patience: Looks without improvement after which it ends.
-    """
+    def step(self, number: int) -> float:
+        """Learn, in a way that depends on the number of the step and on nothing that was drawn before. The loss."""
+        ...
 
-    name: str = "default"
-    around: int = 13
-    eye_views: int = 20
-    steps: int = 600
-    check_every: int = 60
-    patience: int = 3
+    def agreement(self) -> float | None:
+        """Decibels in views that are not learned from; None where there are none, and all steps are made."""
+        ...
 
+    def pictures(self) -> Pictures:
+        """What is to be seen and what is drawn now."""
+        ...
 
-QUICK = Tuning("quick", around=7, eye_views=7, steps=240, check_every=60)
-"""For a first look."""
+    def changes(self) -> dict[str, np.ndarray]:
+        """See `gazenerf.personal_weights.PersonalWeights`."""
+        ...
+
+    def codes(self) -> list[Codes] | None:
+        """Of each photograph; None where they are as they were fitted."""
+        ...
+
+    def state(self) -> dict[str, Any]:
+        """Everything that the next steps depend on, as tensors and plain values."""
+        ...
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from what `state` gave; KeyError, TypeError, ValueError or RuntimeError where it is of no use."""
+        ...
 
 
 @dataclass(frozen=True)
-class Tuned:
-    """What was learned.
+class Preview:
+    """Pictures of how far the learning is.
 
     Attributes:
-        personal: For the subject.
-        steps: How many were made.
-        before, after: Decibels of the held-out views inside the head.
-        seconds: Of everything.
+        show: Is given them.
+        seconds: Between two times.
     """
 
-    personal: PersonalWeights
-    steps: int
-    before: float
-    after: float
-    seconds: float
+    show: Callable[[Pictures], None]
+    seconds: float = 20.0
 
 
-def fine_tune(
-    field: TwoStreamField,
-    subject: Subject,
-    lessons: Sequence[Lesson],
-    held_out: Sequence[Lesson],
-    tuning: Tuning | None = None,
-    progress: Progress = silent,
-    look: Callable[[np.ndarray], None] | None = None,
-) -> Tuned:
-    """Learn a person.
+@dataclass
+class Course:
+    """How far the learning is.
 
-    Args:
-        field: As it was trained, on the CPU.
-        subject: Codes.
-        lessons: What is learned from.
-        held_out: What tells when to stop.
-        tuning: How long.
-        progress: Told of views and steps.
-        look: Given the photograph's view and the held-out ones (H, W, 3) float32 sRGB side by side whenever the latter
-            are looked at.
-
-    Raises:
-        UserError: the field is of a kind that cannot be fine-tuned.
+    Attributes:
+        done: Steps.
+        since: Looks since the best one.
+        best: Decibels in the held-out views; None where there are none.
+        kept: What was learned at the best look, or last.
+        codes: The codes then; None where they are held.
     """
-    started, tuning = time.perf_counter(), tuning or Tuning()
-    check_field(field)
-    head = Head(field, Subject(subject.name, subject.codes), device="cpu", precision="float32")
-    both = [*lessons, *held_out]
-    views = [
-        hold_view(head, item.camera, item.gaze) for item in counted(both, progress, "geometry of the views", len(both))
-    ]
-    pairs = list(zip(lessons, views[: len(lessons)], strict=True))
-    watched = list(zip(held_out, views[len(lessons) :], strict=True))
-    learner = _Learner(field, subject.codes, pairs, tuning)
-    before = best = learner.agreement(watched)
-    kept, since, done = learner.changes(), 0, 0
-    while done < tuning.steps and since < tuning.patience:
-        for _ in range(min(tuning.check_every, tuning.steps - done)):
-            learner.step(done / tuning.steps)
-            done += 1
-            progress(f"learning the person, {best:.1f} dB beside the photograph", done, tuning.steps)
-        found = learner.agreement(watched)
-        if look is not None:
-            look(learner.pictures([pairs[0], *watched]))
-        since = 0 if found > best else since + 1
-        if found > best:
-            best, kept = found, learner.changes()
-    personal = PersonalWeights(field.weights_hash, kept)
-    return Tuned(personal, done, before, best, time.perf_counter() - started)
 
+    done: int = 0
+    since: int = 0
+    best: float | None = None
+    kept: dict[str, np.ndarray] = field(default_factory=dict)
+    codes: list[Codes] | None = None
 
-def check_field(field: TwoStreamField) -> None:
-    """Refuse fields whose colours are not learned this way.
+    def state(self) -> dict[str, Any]:
+        """As tensors and plain values."""
+        codes = None if self.codes is None else [[torch.from_numpy(v) for v in _codes(item)] for item in self.codes]
+        kept = {name: torch.from_numpy(value) for name, value in self.kept.items()}
+        return {"done": self.done, "since": self.since, "best": self.best, "kept": kept, "codes": codes}
 
-    Raises:
-        UserError: one stream, streams that are not one medium, or samples that are not around a surface.
-    """
-    config = field.config
-    if "eyes" not in field.streams or config.merge != "joint" or config.sampler != "guided":
-        raise UserError(
-            "only fields that this project trained, of two streams around one surface, can be fine-tuned; choose "
-            "--checkpoint portrait, portrait-sdf or small, or leave the field as it is with --no-field"
+    @classmethod
+    def of(cls, state: Mapping[str, Any]) -> Course:
+        """What `state` gave."""
+        codes, best = state["codes"], state["best"]
+        return cls(
+            int(state["done"]),
+            int(state["since"]),
+            None if best is None else float(best),
+            {str(name): value.numpy() for name, value in state["kept"].items()},
+            None if codes is None else [Codes(*(value.numpy() for value in item)) for item in codes],
         )
 
 
-class _Learner:
-    """A field being fine-tuned."""
-
-    def __init__(
-        self, field: TwoStreamField, codes: Codes, pairs: list[tuple[Lesson, HeldView]], tuning: Tuning
-    ) -> None:
-        self.field, self.codes, self.pairs = field, codes, pairs
-        self.rng = np.random.default_rng(0)
-        state = field.state_dict()
-        names = [name for name in state if ".feature_" in name and name.startswith("streams.")]
-        generator = torch.Generator().manual_seed(0)
-        channels, width = PLANE[0], field.config.hidden // 2
-        start = {name: torch.zeros_like(state[name]) for name in names}
-        start["streams.face.plane.values"] = torch.zeros(PLANE)
-        start["streams.face.plane.mix"] = torch.randn(width, channels, generator=generator) / math.sqrt(channels)
-        self.tuned = with_changes(field, start)
-        self.learned = {name: value for name, value in self.tuned.named_parameters() if name in start}
-        for value in self.learned.values():
-            value.requires_grad_(True)
-        plane = [value for name, value in self.learned.items() if name.endswith("plane.values")]
-        rest = [value for name, value in self.learned.items() if not name.endswith("plane.values")]
-        self.optimizer = torch.optim.Adam([{"params": rest, "lr": RATE}, {"params": plane, "lr": PLANE_RATE}])
-        self.rates = [group["lr"] for group in self.optimizer.param_groups]
-        self.chances = self._chances()
-
-    def _chances(self) -> np.ndarray:
-        kinds = np.array([0 if item.own else 2 if item.camera.width < item.camera.height or item.camera.width
-                          < self.field.config.image_size else 1 for item, _ in self.pairs])  # fmt: skip
-        share = np.array([OWN_SHARE, 1.0 - OWN_SHARE - EYES_SHARE, EYES_SHARE])
-        chances = share[kinds] / np.bincount(kinds, minlength=3)[kinds]
-        return chances / chances.sum()
-
-    def step(self, share: float) -> None:
-        """One window of one lesson; `share` of the steps are done."""
-        left = LAST_RATE + 0.5 * (1.0 - LAST_RATE) * (1.0 + math.cos(math.pi * share))
-        for group, rate in zip(self.optimizer.param_groups, self.rates, strict=True):
-            group["lr"] = rate * left
-        lesson, view = self.pairs[self.rng.choice(len(self.pairs), p=self.chances)]
-        window = self._window(view)
-        image = draw_held(self.tuned, self.codes, view, window)
-        target, weight = _part(lesson, view, window, image)
-        loss = ((image - target).abs() * weight).sum() / weight.sum().clamp(min=1.0)
-        self.optimizer.zero_grad(set_to_none=True)
-        loss.backward()
-        self.optimizer.step()
-
-    def _window(self, view: HeldView) -> Window:
-        height, width = (min(WINDOW, side) for side in view.shape)
-        inside = (view.opacity > 0.9).nonzero()
-        row, column = inside[self.rng.integers(len(inside))].tolist() if len(inside) else (0, 0)
-        top = int(np.clip(row - height // 2, 0, view.shape[0] - height))
-        left = int(np.clip(column - width // 2, 0, view.shape[1] - width))
-        return top, left, height, width
-
-    def agreement(self, pairs: list[tuple[Lesson, HeldView]]) -> float:
-        """Decibels inside the masks of lessons, of all their pixels together."""
-        error = count = 0.0
-        with torch.no_grad():
-            for lesson, view in pairs:
-                image = draw_held(self.tuned, self.codes, view)
-                error += float(((image - lesson.image).square() * lesson.mask).sum())
-                count += 3.0 * float(lesson.mask.sum())
-        return -10.0 * math.log10(max(error / max(count, 1.0), 1e-12))
-
-    def pictures(self, pairs: list[tuple[Lesson, HeldView]]) -> np.ndarray:
-        """(H, W, 3) float32 sRGB of views side by side."""
-        with torch.no_grad():
-            drawn = [draw_held(self.tuned, self.codes, view) for _, view in pairs]
-        return torch.cat(drawn, dim=-1).permute(1, 2, 0).numpy()
-
-    def changes(self) -> dict[str, np.ndarray]:
-        """What is learned so far."""
-        state, found = self.field.state_dict(), {}
-        for name, value in self.learned.items():
-            change = value.detach() - state[name] if name in state else value.detach()
-            found[name] = change.numpy().astype(np.float16)
-        return found
+def _codes(codes: Codes) -> tuple[np.ndarray, ...]:
+    return codes.identity, codes.expression, codes.texture, codes.illumination
 
 
-def _part(lesson: Lesson, view: HeldView, window: Window, image: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """What a window should show (3, ., .), and the weights (., .) of its pixels."""
-    top, left, height, width = window
-    k = image.shape[-1] // width
-    rows, columns = slice(top * k, (top + height) * k), slice(left * k, (left + width) * k)
-    weight = lesson.mask[rows, columns].clone()
-    border = BORDER * k
-    weight[:border] = weight[-border:] = 0.0
-    weight[:, :border] = weight[:, -border:] = 0.0
-    return lesson.image[:, rows, columns], weight
+class _Every:
+    """Whether so many seconds have passed since it was last so."""
+
+    def __init__(self, seconds: float, at_once: bool) -> None:
+        self.seconds, self.last = seconds, float("-inf") if at_once else time.monotonic()
+
+    def due(self) -> bool:
+        now = time.monotonic()
+        if now - self.last < self.seconds:
+            return False
+        self.last = now
+        return True
+
+
+def learn(
+    learner: Learner,
+    tuning: Tuning,
+    progress: Progress = silent,
+    state: StateFile | None = None,
+    preview: Preview | None = None,
+) -> Course:
+    """Learn a person.
+
+    Args:
+        learner: Before its first step.
+        tuning: How long.
+        progress: Told of steps.
+        state: Where it is kept how far the learning is, and where it goes on from.
+        preview: Shown after the first step, then every so many seconds.
+
+    Raises:
+        UserError: the state is damaged.
+    """
+    course = _begun(learner, state)
+    save, show = _Every(SAVE_SECONDS, False), _Every(0.0 if preview is None else preview.seconds, True)
+    while course.done < tuning.steps and course.since < tuning.patience:
+        loss = learner.step(course.done)
+        course.done += 1
+        if course.done % tuning.check_every == 0 or course.done == tuning.steps:
+            _judge(learner, course)
+        if state is not None and save.due():
+            state.keep({"course": course.state(), "learner": learner.state()})
+        if preview is not None and show.due():
+            preview.show(learner.pictures())
+        note = f"loss {loss:.3f}" if course.best is None else f"{course.best:.1f} dB beside the photograph"
+        progress(f"learning the person, {note}", course.done, tuning.steps)
+    return course
+
+
+def _begun(learner: Learner, state: StateFile | None) -> Course:
+    """Where the learning is: at its beginning, or where it was cut short."""
+    kept = None if state is None else state.kept()
+    if state is None or kept is None:
+        return Course(best=learner.agreement(), kept=learner.changes(), codes=learner.codes())
+    try:
+        course = Course.of(kept["course"])
+        learner.restore(kept["learner"])
+    except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
+        raise state.damaged(error) from error
+    return course
+
+
+def _judge(learner: Learner, course: Course) -> None:
+    """Keep what is learned where it is better than what was kept, or nothing can tell."""
+    found = learner.agreement()
+    better = found is None or course.best is None or found > course.best
+    course.since = 0 if better else course.since + 1
+    if better:
+        course.best, course.kept, course.codes = found, learner.changes(), learner.codes()

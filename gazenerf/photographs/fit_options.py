@@ -14,6 +14,7 @@ from gazenerf.photographs.detector import Detection, detect
 from gazenerf.photographs.fit import Photograph
 from gazenerf.photographs.landmarks import choose_face, read_labels, read_landmarks, read_mask
 from gazenerf.photographs.picture import read_photograph
+from gazenerf.photographs.tuning import METHODS
 
 PERSON = 0.5
 """Probability from which a pixel counts as the person."""
@@ -53,25 +54,47 @@ class FieldFitOptions(FitOptions):
 
     Attributes:
         field: Fine-tune a field; without, the head model alone is fitted.
+        method: How the field is fine-tuned; see `gazenerf.photographs.tuning.METHODS`.
         quick: Fewer steps from fewer views, less like the person.
         checkpoint: The field; what is learned is of no use to another.
+        preview: PNG of how far the field is; the picture beside the subject by default.
+        preview_every: Seconds between two previews.
     """
 
     field: bool = option(
         True, "fine-tune the field to the person, which is the default",
         off=("--no-field", "fit the head model alone, in seconds; a field then draws a similar stranger"),
     )  # fmt: skip
+    method: str = option(
+        METHODS[0],
+        "teacher (default): colours, from the head model that wears the photograph; paper: codes and network, from the "
+        "masked photograph alone",
+        choices=METHODS,
+    )
     quick: bool = option(False, "fine-tune the field in fewer steps from fewer views: sooner, and less like the person")
     checkpoint: Path | None = option(
         None,
         "the field that is fine-tuned, and that the subject is to be drawn by (default: portrait)",
         metavar="FIELD",
     )
+    preview: Path | None = option(
+        None, "picture of how far the field is, rewritten while it learns (default: the one beside --out)",
+        metavar="FILE.png",
+    )  # fmt: skip
+    preview_every: float = option(20.0, "seconds between two previews (default: 20)", metavar="SECONDS")
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.field and (self.quick or self.checkpoint is not None):
-            raise UserError("--quick and --checkpoint are about the field; leave out --no-field")
+        if self.method not in METHODS:
+            raise UserError(f"--method is {' or '.join(METHODS)}, got {self.method!r}")
+        if not self.field and (self.quick or self.checkpoint is not None or self.method != METHODS[0]):
+            raise UserError("--quick, --method and --checkpoint are about the field; leave out --no-field")
+        if not self.field and self.preview is not None:
+            raise UserError("--preview shows the field; leave out --no-field")
+        if self.preview is not None and self.preview.suffix != ".png":
+            raise UserError(f"--preview {self.preview} must end in .png")
+        if not 1.0 <= self.preview_every <= 1e6:
+            raise UserError(f"--preview-every is in seconds, 1 to 1000000, got {self.preview_every:g}")
 
 
 def read_photographs(files: Sequence[Path], options: FitOptions) -> list[Photograph]:

@@ -58,6 +58,7 @@ class HeldView:
     """A view of a field whose densities do not change.
 
     Attributes:
+        codes: Of the person.
         camera: Of the picture.
         gaze: Of the eyes.
         shape: (h, w) of the feature map.
@@ -65,6 +66,7 @@ class HeldView:
         opacity: (h, w).
     """
 
+    codes: Codes
     camera: Camera
     gaze: Gaze
     shape: tuple[int, int]
@@ -100,7 +102,7 @@ def hold_view(head: Head, camera: Camera, gaze: Gaze) -> HeldView:
         opacity = torch.zeros(len(grid.rays_o)).index_add(0, rays, weights["face"].sum(-1))
         opacity = opacity.index_add(0, rays[near], eye_weights.sum(-1)).reshape(grid.shape)
     owned = {name: HeldStream(*(value.clone() for value in vars(stream).values())) for name, stream in streams.items()}
-    return HeldView(camera, gaze, grid.shape, owned, opacity.clone())
+    return HeldView(head.subject.codes, camera, gaze, grid.shape, owned, opacity.clone())
 
 
 def _queried(head: Head, bound, name: str, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -123,20 +125,19 @@ def _kept(rays: torch.Tensor, weights: torch.Tensor, hidden: torch.Tensor, coord
     return HeldStream(ray[keep], kept[keep], hidden[keep], coordinates[keep])
 
 
-def draw_held(field: TwoStreamField, codes: Codes, view: HeldView, window: Window | None = None) -> torch.Tensor:
+def draw_held(field: TwoStreamField, view: HeldView, window: Window | None = None) -> torch.Tensor:
     """A picture (3, height * k, width * k) of a window of a view, with gradients.
 
     Args:
         field: With the densities that the view was held with.
-        codes: As the view was held with.
         view: See `hold_view`.
         window: All of the view by default.
     """
     top, left, height, width = window or (0, 0, *view.shape)
     chosen = torch.full(view.shape, -1)
     chosen[top : top + height, left : left + width] = torch.arange(height * width).reshape(height, width)
-    shape_code = torch.from_numpy(codes.shape_code)[None]
-    appearance = torch.from_numpy(codes.appearance_code)[None]
+    shape_code = torch.from_numpy(view.codes.shape_code)[None]
+    appearance = torch.from_numpy(view.codes.appearance_code)[None]
     label = field.label(torch.from_numpy(view.gaze.label)[None])
     background = field.renderer.background(*view.shape)[0, :, top : top + height, left : left + width].flatten(1).T
     left_over = torch.ones(height * width)

@@ -12,7 +12,9 @@ import torch
 from gazenerf.data.rasterizer import Rasterizer
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.photographs.appearance import STANDARD_LIPS, Seen, face_oval
-from gazenerf.photographs.teacher import Teacher, person_mask
+from gazenerf.photographs.teacher import Teacher
+from gazenerf.photographs.told_colours import person_mask
+from gazenerf.subjects import Codes
 
 SHOWN = 2.8
 """World units that the photograph's square picture shows at the head, about as much as captures do."""
@@ -32,8 +34,15 @@ GAZES = ((0, 0), (12, 22), (-12, -22), (-14, 18), (14, -18), (0, 30), (0, -30), 
 FRONT = 7
 """How many of the first cameras around see both eyes."""
 
+FURTHER = 7
+"""How many cameras around, and pictures of eyes, each further photograph of the same person adds at most."""
+
 EYES_WINDOW = (0.375, 0.16)
 """Their width and height, shares of a picture's side."""
+
+
+OWN, AROUND_HEAD, EYES = "own", "around", "eyes"
+"""Kinds of lessons: the photograph, the teacher's head from all sides, and its eyes alone."""
 
 
 @dataclass(frozen=True)
@@ -41,25 +50,27 @@ class Lesson:
     """A picture that the field should draw.
 
     Attributes:
+        codes: Of the person, in the photograph that it is about.
         camera, gaze: Of the picture.
         image: (3, H, W) float32 sRGB.
         mask: (H, W) float32, 0 where the picture says nothing.
-        own: Whether it is the photograph.
+        kind: `OWN`, `AROUND_HEAD` or `EYES`.
     """
 
+    codes: Codes
     camera: Camera
     gaze: Gaze
     image: torch.Tensor
     mask: torch.Tensor
-    own: bool = False
+    kind: str = AROUND_HEAD
 
 
-def photograph_lesson(seen: Seen, gaze: Gaze, size: int) -> Lesson:
+def photograph_lesson(seen: Seen, codes: Codes, gaze: Gaze, size: int) -> Lesson:
     """The photograph in a square picture around the head.
 
     Args:
         seen: The photograph with the fitted head.
-        gaze: Fitted.
+        codes, gaze: Fitted.
         size: Of the picture.
     """
     camera = seen.camera
@@ -72,7 +83,7 @@ def photograph_lesson(seen: Seen, gaze: Gaze, size: int) -> Lesson:
     told = person_mask(seen) | (face_oval(seen.landmarks, seen.image.shape[:2]) & (seen.raster.parts > 0))
     mask = moved_to_square(seen, told.astype(np.float32), size, cv2.INTER_LINEAR)
     picture = moved_to_square(seen, seen.image, size, cv2.INTER_CUBIC)
-    return Lesson(square, gaze, _image(picture), torch.from_numpy(mask), own=True)
+    return Lesson(codes, square, gaze, _image(picture), torch.from_numpy(mask), OWN)
 
 
 def _square(seen: Seen) -> tuple[np.ndarray, float]:
@@ -103,12 +114,14 @@ def teacher_cameras(camera: Camera, size: int, around: tuple[tuple[int, int], ..
     return found
 
 
-def teacher_lesson(teacher: Teacher, renderer: Rasterizer, camera: Camera, gaze: Gaze) -> Lesson:
+def teacher_lesson(
+    teacher: Teacher, renderer: Rasterizer, camera: Camera, gaze: Gaze, kind: str = AROUND_HEAD
+) -> Lesson:
     """The teacher seen by a camera; on its outline and between its lips, where it has no teeth, it says nothing."""
     raster = teacher.view(renderer, camera, gaze)
     inside = cv2.erode((raster.parts > 0).astype(np.float32), np.ones((5, 5), np.uint8), borderValue=0)
     inside[_open_mouth(teacher, camera, gaze)] = 0.0
-    return Lesson(camera, gaze, _image(raster.image), torch.from_numpy(inside))
+    return Lesson(teacher.codes, camera, gaze, _image(raster.image), torch.from_numpy(inside), kind)
 
 
 def _open_mouth(teacher: Teacher, camera: Camera, gaze: Gaze) -> np.ndarray:
@@ -132,10 +145,10 @@ def _image(pixels: np.ndarray) -> torch.Tensor:
     return torch.from_numpy(np.ascontiguousarray(pixels)).permute(2, 0, 1).float() / 255.0
 
 
-def lessons(
+def teacher_lessons(
     teacher: Teacher, seen: Seen, gaze: Gaze, size: int, step: int, around: int = len(AROUND), eyes: int = 20
 ) -> Iterator[Lesson]:
-    """The photograph, the teacher from all sides, and its eyes at more gazes.
+    """The teacher from all sides, and its eyes at more gazes.
 
     Args:
         teacher: Of the person.
@@ -145,7 +158,6 @@ def lessons(
         around: How many of the cameras around are used.
         eyes: How many pictures show the eyes alone.
     """
-    yield photograph_lesson(seen, gaze, size)
     cameras = teacher_cameras(seen.camera, size, AROUND[:around])
     with Rasterizer((size, size)) as renderer:
         for number, camera in enumerate(cameras):
@@ -155,7 +167,7 @@ def lessons(
     with Rasterizer((window[0], window[1])) as renderer:
         for number in range(eyes):
             camera = eyes_camera(cameras[number % min(FRONT, around)], centre, (window[0], window[1]))
-            yield teacher_lesson(teacher, renderer, camera, Gaze.from_degrees(*GAZES[number % len(GAZES)]))
+            yield teacher_lesson(teacher, renderer, camera, Gaze.from_degrees(*GAZES[number % len(GAZES)]), EYES)
 
 
 def held_out_lessons(teacher: Teacher, seen: Seen, size: int) -> Iterator[Lesson]:

@@ -12,16 +12,18 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from gazenerf.checkpoints import load_field
+from gazenerf.checkpoints import load_field, weights_hash
 from gazenerf.errors import UserError
 from gazenerf.field.model import TwoStreamField
 from gazenerf.files import refuse_existing, whole_file
 from gazenerf.head_model import load_head_model
-from gazenerf.photographs.fine_tuning import QUICK, Tuning, check_field
-from gazenerf.photographs.fit import FittedPhotograph, fit_photographs
+from gazenerf.photographs.fine_tuning import Preview
+from gazenerf.photographs.fit import FittedPhotograph, Photograph, fit_photographs
 from gazenerf.photographs.fit_options import FieldFitOptions, read_photographs
 from gazenerf.photographs.overlay import overlay
-from gazenerf.photographs.person_field import PersonField, fit_field
+from gazenerf.photographs.person_field import PersonField, check_tunable, fit_field, sheet
+from gazenerf.photographs.state_file import StateFile
+from gazenerf.photographs.tuning import tuning_of
 from gazenerf.progress import Progress, silent
 from gazenerf.subjects import Subject
 
@@ -35,6 +37,7 @@ class MadeFit:
         fitted: The head model's fit.
         field_picture: The file of the field before and after it was fine-tuned, None where it was not.
         field: What fine-tuning gave, None where the field was left as it is.
+        resumed: Whether an earlier run had begun to learn.
     """
 
     subject: Path
@@ -43,6 +46,7 @@ class MadeFit:
     fitted: FittedPhotograph
     field_picture: Path | None = None
     field: PersonField | None = None
+    resumed: bool = False
 
 
 def make_fit(
@@ -52,15 +56,16 @@ def make_fit(
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> list[MadeFit]:
-    """Fit the head model to photographs of one person, fine-tune the field to each, and write a subject for each.
+    """Fit the head model to photographs of one person, fine-tune the field to them, and write a subject for each.
 
-    The head model's fits are written first, so that a run that is cut short leaves subjects without personal weights.
+    The head model's fits are written first, so that a run that is cut short leaves subjects without personal weights,
+    and a state file beside the first one, from which the same call goes on.
 
     Args:
         photographs: PNG, JPEG or WebP.
         out: Subject file of the first photograph; those of others get their number before the suffix.
         options: How they are fitted.
-        overwrite: Replace files.
+        overwrite: Replace files, and begin anew.
         progress: Told how far the field is.
 
     Raises:
@@ -70,28 +75,53 @@ def make_fit(
     if out.suffix != ".safetensors":
         raise UserError(f"--out {out} must end in .safetensors")
     targets = [_Targets.of(out, number) for number in range(len(photographs))]
-    wanted = [file for target in targets for file in target.files(options.field)]
-    refuse_existing(wanted, overwrite)
+    state = StateFile(out, overwrite) if options.field else None
+    if state is None or not state.there:
+        preview = [] if options.preview is None else [options.preview]
+        wanted = [*(file for target in targets for file in target.files(options.field)), *preview]
+        refuse_existing(wanted, overwrite)
     model = load_head_model(options.head_model)
     field = _field(options, model.code_sizes) if options.field else None
     started = time.perf_counter()
-    fitted = fit_photographs(read_photographs(photographs, options), model, options.landmark_table)
+    fitted = fit_photographs(_read(photographs, options, field, state), model, options.landmark_table)
     seconds = time.perf_counter() - started
+    if state is not None:
+        state.begin()
     for target, item in zip(targets, fitted, strict=True):
         _save_picture(target.overlay, overlay(item))
         _save(target, item, item.subject, seconds)
-    if field is None:
+    if field is None or state is None:
         return [MadeFit(t.subject, t.overlay, t.json, item) for t, item in zip(targets, fitted, strict=True)]
+    file = options.preview or targets[0].field
+    preview = Preview(lambda pictures: _save_srgb(file, sheet(pictures)), options.preview_every)
+    tuning = tuning_of(options.method, options.quick)
+    people = fit_field(field, fitted, model, tuning, progress, state, preview)
     made = []
-    for target, item in zip(targets, fitted, strict=True):
-        tuning = QUICK if options.quick else Tuning()
-        person = fit_field(
-            field, item, model, tuning, progress, lambda picture, to=target: _save_srgb(to.field, picture)
-        )
+    for target, item, person in zip(targets, fitted, people, strict=True):
         _save_srgb(target.field, np.concatenate([np.concatenate(row, axis=1) for row in person.pictures], axis=0))
         _save(target, item, person.subject, seconds, person.measured)
-        made.append(MadeFit(target.subject, target.overlay, target.json, item, target.field, person))
+        made.append(MadeFit(target.subject, target.overlay, target.json, item, target.field, person, state.there))
+    state.delete()
     return made
+
+
+def _read(
+    files: Sequence[Path], options: FieldFitOptions, field: TwoStreamField | None, state: StateFile | None
+) -> list[Photograph]:
+    """The photographs; where a field is fine-tuned, `state` is told what it depends on.
+
+    Raises:
+        UserError: see `read_photographs` and `StateFile.expect`.
+    """
+    photographs = read_photographs(files, options)
+    if field is not None and state is not None:
+        beside = [file for file in (options.head_model, options.landmark_table) if file is not None]
+        given = [*files, *options.landmarks, *options.masks, *options.labels, *beside]
+        state.expect({
+            "files": [weights_hash(file) for file in given], "field": field.weights_hash, "method": options.method,
+            "quick": options.quick, "face": options.face, "focal": options.focal,
+        })  # fmt: skip
+    return photographs
 
 
 @dataclass(frozen=True)
@@ -120,7 +150,7 @@ def _field(options: FieldFitOptions, sizes: tuple[int, ...]) -> TwoStreamField:
         UserError: it cannot be read, cannot be fine-tuned, or takes other codes than the head model's.
     """
     field = load_field(options.checkpoint)
-    check_field(field)
+    check_tunable(field, options.method)
     if field.config.code_sizes != tuple(sizes):
         raise UserError(
             f"the field takes codes of {field.config.code_sizes}, the head model has {tuple(sizes)}; give a field made "

@@ -67,8 +67,33 @@ def rendered_person(
     """
     rng = np.random.default_rng((seed, number))
     person = sample_person(rng, model)
+    return _photographed(model, renderer, rng, person, number, bool(number % 2 if expressions is None else expressions))
+
+
+def rendered_photographs(model: HeadModel, renderer: Renderer, seed: int, number: int, count: int) -> list[Rendered]:
+    """Photographs of one random person, each with its own view, light, gaze, expression and background.
+
+    Args:
+        model: Whose codes are drawn.
+        renderer: Of square pictures.
+        seed, number: Of the set, and of the person in it.
+        count: How many.
+    """
+    person = sample_person(np.random.default_rng((seed, number)), model)
+    found = []
+    for taken in range(count):
+        rng = np.random.default_rng((seed, number, taken))
+        lit = replace(person, illumination=sample_person(rng, model).illumination)
+        found.append(_photographed(model, renderer, rng, lit, taken, bool(taken % 2)))
+    return found
+
+
+def _photographed(
+    model: HeadModel, renderer: Renderer, rng: np.random.Generator, person: Codes, number: int, expressions: bool
+) -> Rendered:
+    """A person from a random view within about 40 degrees, at a random gaze."""
     gaze = Gaze.from_degrees(float(rng.uniform(-GAZE_PITCH, GAZE_PITCH)), float(rng.uniform(-GAZE_YAW, GAZE_YAW)))
-    expression = sample_expressions(rng, model, gaze) * float(number % 2 if expressions is None else expressions)
+    expression = sample_expressions(rng, model, gaze) * float(expressions)
     codes = Codes(person.identity, expression, person.texture, person.illumination)
     yaw, pitch = (
         np.deg2rad(np.clip(rng.normal(0.0, spread), -limit, limit)) for spread, limit in (CAMERA_YAW, CAMERA_PITCH)

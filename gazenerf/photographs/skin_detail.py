@@ -39,7 +39,7 @@ def photograph_detail(head: Head, seen: Seen, gaze: Gaze) -> np.ndarray:
         (3, H, W) float16 values of a `gazenerf.field.detail.SurfaceDetail`.
     """
     size = head.field.config.image_size
-    lesson = photograph_lesson(seen, gaze, size)
+    lesson = photograph_lesson(seen, head.subject.codes, gaze, size)
     view = head.at(gaze).render(lesson.camera)
     left = np.clip(lesson.image.permute(1, 2, 0).numpy() - view.images["head"], -MOST, MOST)
     rows, columns = (round(2.0 * extent / TEXEL) for extent in (EXTENT[1], EXTENT[0]))

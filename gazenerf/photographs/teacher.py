@@ -7,12 +7,11 @@ the pupil.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from scipy import sparse
-from scipy.ndimage import map_coordinates
 from scipy.sparse.linalg import splu
 
 from gazenerf.data.rasterizer import Raster, Rasterizer
@@ -20,11 +19,9 @@ from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model.eyes import IRIS_ANGLE, PUPIL_ANGLE
 from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, FACE, HeadMesh, HeadModel
 from gazenerf.head_model.shading import shade
-from gazenerf.photographs.appearance import Seen, eye_openings, nearest_pixels, seen_vertices
+from gazenerf.photographs.appearance import Seen
+from gazenerf.photographs.told_colours import Told, told_by
 from gazenerf.subjects import Codes
-
-GRAZING, FRONTAL = 0.15, 0.45
-"""Cosines between a vertex's normal and the view: pixels count not at all below the first and fully from the second."""
 
 STIFFNESS, FADING = 0.03, 1e-6
 """Of differences between neighbours, and of differences themselves, against one pixel's; together they fade over about
@@ -33,9 +30,6 @@ STIFFNESS, FADING = 0.03, 1e-6
 RING, WHITE, LEAST_RING = IRIS_ANGLE / 8.0, 10, 6
 """Width in radians of the rings of an eyeball, the number of the last one, which is all that lies outside the iris, and
 how many vertices of a ring must be seen."""
-
-LEAST_SEEN = 50
-"""Vertices that must be seen for the photograph to say anything."""
 
 
 @dataclass(frozen=True)
@@ -63,51 +57,53 @@ class Teacher:
         return renderer.render(mesh, np.clip(colours, 0.0, 1.0), camera)
 
 
-def make_teacher(model: HeadModel, codes: Codes, gaze: Gaze, seen: Seen) -> Teacher:
-    """A teacher from a photograph.
+def make_teachers(model: HeadModel, told: Sequence[Told]) -> list[Teacher]:
+    """The teacher of each of a person's photographs; see `teacher_from`.
 
     Args:
         model: The head model.
-        codes, gaze: Fitted to the photograph.
-        seen: The photograph with the fitted head.
+        told: What each photograph tells.
     """
-    mesh = model.mesh(codes, gaze)
-    colours = shade(mesh, codes.illumination)
-    pixels, cosine, visible = seen_vertices(seen)
-    trust = np.clip((cosine - GRAZING) / (FRONTAL - GRAZING), 0.0, 1.0) * visible * _told(seen, pixels)
-    skin = np.unique(mesh.part_faces(FACE))
-    differences = np.zeros_like(colours)
-    if np.count_nonzero(trust[skin]) >= LEAST_SEEN:
-        at = pixels[:, ::-1].T - 0.5
-        channels = np.moveaxis(seen.image.astype(np.float32) / 255.0, -1, 0)
-        observed = np.stack([map_coordinates(one, at, order=1, mode="nearest") for one in channels], axis=-1)
-        differences[skin] = _continued(mesh, skin, trust[skin], (observed - colours)[skin])
-        shown = visible & (cosine > GRAZING) & _inside(eye_openings(seen.landmarks, seen.image.shape[:2]), pixels)
-        _colour_eyes(differences, observed - colours, mesh, gaze, shown)
-    return Teacher(model, codes, differences)
+    return [teacher_from(model, own, [*told[:number], *told[number + 1 :]]) for number, own in enumerate(told)]
 
 
-def person_mask(seen: Seen) -> np.ndarray:
-    """(H, W) bool: pixels of the photograph that show the person where the fitted head is, away from its outline."""
-    inside = (seen.raster.parts > 0).astype(np.uint8)
-    grow = max(1, round(0.07 * seen.landmarks.interocular))
-    kernel = np.ones((2 * grow + 1, 2 * grow + 1), np.uint8)
-    shown = cv2.erode(inside, kernel) > 0
-    if seen.person is not None:
-        shown &= cv2.erode(seen.person.astype(np.uint8), kernel) > 0
-    return shown
+def teacher_from(model: HeadModel, own: Told, others: Sequence[Told] = ()) -> Teacher:
+    """The teacher of a photograph, in its own light.
+
+    What it does not show is taken from other photographs of the person, moved by what differs where both show it, so
+    that light and exposure stay its own.
+
+    Args:
+        model: The head model.
+        own, others: What the photograph and the others tell.
+    """
+    skin = np.unique(own.mesh.part_faces(FACE))
+    differences = np.zeros_like(own.wanted)
+    wanted, trust = _with_others(own, others, skin)
+    if trust.any():
+        differences[skin] = _continued(own.mesh, skin, trust, wanted)
+        _colour_eyes(differences, own.wanted, own.mesh, own.gaze, own.shown)
+    return Teacher(model, own.codes, differences)
 
 
-def _told(seen: Seen, pixels: np.ndarray) -> np.ndarray:
-    """(V,) 0 to 1: whether the photograph's pixel at each vertex's place (V, 2) tells the skin's colour."""
-    shape = seen.image.shape[:2]
-    return _inside(person_mask(seen) & ~eye_openings(seen.landmarks, shape), pixels).astype(np.float64)
+def make_teacher(model: HeadModel, codes: Codes, gaze: Gaze, seen: Seen) -> Teacher:
+    """The teacher of a single photograph; see `told_by`."""
+    return teacher_from(model, told_by(model, codes, gaze, seen))
 
 
-def _inside(mask: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """(V,) bool: whether image coordinates (V, 2) lie in a mask (H, W)."""
-    height, width = mask.shape
-    return mask[nearest_pixels(pixels, mask.shape)] & ((pixels >= 0) & (pixels < [width, height])).all(axis=1)
+def _with_others(own: Told, others: Sequence[Told], skin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Wanted differences (N, 3) of the skin's vertices and the trust (N,) in them, of one photograph and of others."""
+    trust, wanted = own.trust[skin], own.wanted[skin]
+    if not any(item.trust.any() for item in others):
+        return wanted, trust
+    theirs = np.stack([item.trust[skin] for item in others])
+    mean = (theirs[..., None] * np.stack([item.wanted[skin] for item in others])).sum(axis=0)
+    mean = mean / np.maximum(theirs.sum(axis=0), 1e-9)[:, None]
+    best = theirs.max(axis=0)
+    mean = mean + _continued(own.mesh, skin, np.minimum(trust, best), wanted - mean)
+    borrowed = best * (1.0 - trust)
+    total = trust + borrowed
+    return (trust[:, None] * wanted + borrowed[:, None] * mean) / np.maximum(total, 1e-9)[:, None], total
 
 
 def _colour_eyes(differences: np.ndarray, wanted: np.ndarray, mesh: HeadMesh, gaze: Gaze, shown: np.ndarray) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import stat
 import sys
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,12 +13,17 @@ import trimesh
 from PIL import Image
 
 import gazenerf.export.appearance.colours
+from gazenerf.checkpoints import save_field
 from gazenerf.cli.main import main
 from gazenerf.geometry import Gaze
 from gazenerf.head_model import load_head_model
 from gazenerf.head_model.interface import FACE
-from gazenerf.photographs.fine_tuning import Tuning
+from gazenerf.photographs import make_fit
+from gazenerf.photographs.fit import fit_photographs
+from gazenerf.photographs.paper_learner import PaperLearner
+from gazenerf.photographs.tuning import Tuning
 from gazenerf.subjects import Subject
+from tests.field_doubles import make_field, tiny_config
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +57,7 @@ def test_the_field_is_fine_tuned_and_every_command_draws_the_person(folder, tmp_
     monkeypatch.setattr("gazenerf.photographs.shape_fit.STEPS", 15)
     monkeypatch.setattr("gazenerf.photographs.shape_fit.MORE_STEPS", 5)
     short = Tuning("quick", around=1, eye_views=1, steps=24, check_every=12)
-    monkeypatch.setattr("gazenerf.photographs.make_fit.QUICK", short)
+    monkeypatch.setattr("gazenerf.photographs.tuning.QUICK", short)
     out = tmp_path / "me.safetensors"
     words = ["--landmarks", str(folder / "marks.npy"), "--quick", "--checkpoint", "small", "--out", str(out)]
     assert main(["fit", str(folder / "me.png"), *words]) == 0
@@ -74,8 +80,62 @@ def test_the_field_is_fine_tuned_and_every_command_draws_the_person(folder, tmp_
     assert "personal weights are left out" in line
 
 
+def test_a_fit_that_was_stopped_goes_on_and_leaves_no_state(folder, tmp_path, capsys, monkeypatch):
+    """The paper's way, on a field of random weights: stopped after two steps, run again, and again."""
+    monkeypatch.setattr("gazenerf.photographs.shape_fit.STEPS", 3)
+    monkeypatch.setattr("gazenerf.photographs.shape_fit.MORE_STEPS", 2)
+    monkeypatch.setattr("gazenerf.photographs.fine_tuning.SAVE_SECONDS", 0.0)
+    monkeypatch.setattr("gazenerf.photographs.tuning.PAPER", Tuning("paper", "paper", steps=4))
+    networks = (lambda images: [images], lambda images: images.mean((2, 3))[:, :2])
+    monkeypatch.setattr("gazenerf.photographs.person_field.paper_networks", lambda: networks)
+    monkeypatch.setattr("gazenerf.photographs.person_field.INTEROCULAR", 20.0)
+    fits: list[Any] = []
+    monkeypatch.setattr(
+        make_fit, "fit_photographs", lambda *given: fits or fits.extend(fit_photographs(*given)) or fits
+    )
+    steps: list[int] = []
+    step = PaperLearner.step
+
+    def stopping(self, number):
+        if len(steps) == 2:
+            steps.append(-1)
+            raise KeyboardInterrupt
+        steps.append(number)
+        return step(self, number)
+
+    monkeypatch.setattr(PaperLearner, "step", stopping)
+    slabs = tiny_config(expression=52, texture=36, merge="max", sampler="slabs", samples=6)
+    save_field(make_field(slabs), tmp_path / "tiny.safetensors")
+    words = ["fit", str(folder / "me.png"), "--landmarks", str(folder / "marks.npy"), "--method", "paper"]
+    words += ["--checkpoint", str(tmp_path / "tiny.safetensors"), "--preview", str(tmp_path / "now.png")]
+    out = tmp_path / "made" / "me.safetensors"
+    assert main([*words, "--out", str(out)]) == 130
+    assert Subject.load(out).personal is None, "until all is learned, the head model's fit"
+    assert {file.name for file in out.parent.iterdir()} == {
+        "me.safetensors", "me.overlay.png", "me.json", "me.state.pt"
+    }  # fmt: skip
+    assert Image.open(tmp_path / "now.png").size == (32, 64)
+    capsys.readouterr()
+    assert main([*words, "--out", str(out), "--quick"]) == 2
+    assert "me.state.pt has what was learned from other photographs or with other options" in capsys.readouterr().err
+    assert main([*words, "--out", str(out)]) == 0
+    assert steps == [0, 1, -1, 2, 3]
+    assert "going on with an earlier run" in " ".join(capsys.readouterr().out.split())
+    subject = Subject.load(out)
+    assert subject.provenance["method"] == "paper" and subject.personal is not None
+    assert {file.name for file in out.parent.iterdir()} == {
+        "me.safetensors", "me.overlay.png", "me.json", "me.field.png"
+    }  # fmt: skip
+    assert main([*words, "--out", str(out)]) == 2, "nothing is replaced unasked"
+
+
 def test_flags_of_the_field_need_one(folder, capsys):
     assert "leave out --no-field" in refused(folder, capsys, "--quick")
+    assert "leave out --no-field" in refused(folder, capsys, "--method", "paper")
+    assert "leave out --no-field" in refused(folder, capsys, "--preview", "now.png")
+    marks = ["--landmarks", str(folder / "marks.npy"), "--out", str(folder / "x.safetensors")]
+    assert main(["fit", str(folder / "me.png"), *marks, "--preview", "now.jpg"]) == 2
+    assert "must end in .png" in capsys.readouterr().err
 
 
 def refused(folder, capsys, *words: str) -> str:

@@ -14,14 +14,17 @@ from gazenerf.errors import UserError
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.heads import Head
 from gazenerf.image_metrics import psnr
+from gazenerf.personal_weights import PersonalWeights
 from gazenerf.photographs.appearance import Seen
-from gazenerf.photographs.fine_tuning import Tuning, fine_tune
+from gazenerf.photographs.colour_learner import SHARES, ColourLearner, chances
+from gazenerf.photographs.fine_tuning import Preview, learn
 from gazenerf.photographs.held_views import draw_held, hold_view
 from gazenerf.photographs.landmarks import FaceLandmarks
-from gazenerf.photographs.lessons import Lesson, held_out_lessons, lessons, photograph_lesson
+from gazenerf.photographs.lessons import Lesson, held_out_lessons, photograph_lesson, teacher_lessons
 from gazenerf.photographs.teacher import make_teacher
+from gazenerf.photographs.tuning import Tuning
 from gazenerf.subjects import Codes, Subject
-from tests.field_doubles import make_field, make_subject, tiny_config
+from tests.field_doubles import make_field, tiny_config
 
 SIZE = 256
 
@@ -80,7 +83,7 @@ def replace_yaw(camera: Camera) -> Camera:
 
 def test_a_photograph_in_a_square_keeps_its_places(seen, rendered):
     """A vertex lies in the square at the colour that it has in the photograph."""
-    lesson = photograph_lesson(seen, Gaze(), SIZE)
+    lesson = photograph_lesson(seen, rendered[0].codes, Gaze(), SIZE)
     points = seen.mesh.vertices[[np.abs(seen.mesh.vertices - seen.mesh.landmarks[str(i)]).sum(1).argmin()
                                  for i in (30, 36, 45, 48, 54, 8)]].astype(float)  # fmt: skip
     there, here = lesson.camera.project(points)[0], seen.camera.project(points)[0]
@@ -97,8 +100,8 @@ def test_a_held_view_is_what_the_head_draws(name, subject):
     head, camera, gaze = Head(field, subject), Camera.orbit(0.3, size=128), Gaze(0.1, -0.2)
     view = hold_view(head, camera, gaze)
     with torch.no_grad():
-        drawn = draw_held(field, subject.codes, view).permute(1, 2, 0).numpy()
-        window = draw_held(field, subject.codes, view, (6, 5, 12, 16)).permute(1, 2, 0).numpy()
+        drawn = draw_held(field, view).permute(1, 2, 0).numpy()
+        window = draw_held(field, view, (6, 5, 12, 16)).permute(1, 2, 0).numpy()
     seen = head.at(gaze).render(camera)
     inside = seen.geometry["head"].opacity > 0.99
     inside = np.kron(inside, np.ones((128 // inside.shape[0],) * 2)) > 0
@@ -110,19 +113,24 @@ def test_a_held_view_is_what_the_head_draws(name, subject):
 
 
 def test_a_person_is_learned_and_the_geometry_held(small, subject, teacher, seen):
-    learned = list(lessons(teacher, seen, subject.gaze, SIZE, small.config.upsampling, around=3, eyes=2))
+    own = photograph_lesson(seen, subject.codes, subject.gaze, SIZE)
+    learned = [own, *teacher_lessons(teacher, seen, subject.gaze, SIZE, small.config.upsampling, around=3, eyes=2)]
     held = list(held_out_lessons(teacher, seen, SIZE))
-    assert [lesson.own for lesson in learned] == [True] + 5 * [False]
+    assert [lesson.kind for lesson in learned] == ["own", *3 * ["around"], *2 * ["eyes"]]
     assert learned[-1].image.shape[1] < SIZE, "eyes alone"
-    told, looks = [], []
-    tuned = fine_tune(
-        small, subject, learned, held, Tuning(steps=60, check_every=30),
-        lambda stage, done, total: told.append(stage), looks.append,
-    )  # fmt: skip
-    assert tuned.steps == 60 and tuned.after > tuned.before + 3.0
-    assert looks[0].shape == (SIZE, 3 * SIZE, 3) and len(looks) == 2 and len(told) == 8 + 60
-    better = replace(subject, personal=tuned.personal)
-    assert all(".feature_" in name or ".plane." in name for name in tuned.personal.changes)
+    told, looks, tuning = [], [], Tuning(steps=60, check_every=30)
+
+    def tell(stage: str, done: int, total: int, /) -> None:
+        told.append(stage)
+
+    learner = ColourLearner(small, learned, held, tuning, tell)
+    start = learner.agreement()
+    course = learn(learner, tuning, tell, preview=Preview(looks.append, 1e6))
+    assert course.best is not None and course.done == 60 and course.best > start + 3.0
+    assert [picture.shape for picture in looks[0][2]] == 2 * [(SIZE, SIZE, 3)]
+    assert len(looks) == 1 and len(told) == 8 + 60
+    better = replace(subject, personal=PersonalWeights(small.weights_hash, course.kept))
+    assert all(".feature_" in name or ".plane." in name for name in course.kept)
     before, after = Head(small, subject).at(Gaze()), Head(small, better).at(Gaze())
     points = torch.rand(500, 3) * 2.0 - 1.0
     torch.testing.assert_close(after.density(points), before.density(points))
@@ -134,18 +142,27 @@ def test_a_person_is_learned_and_the_geometry_held(small, subject, teacher, seen
 
 def test_learning_ends_where_held_out_views_do_not_gain(small, subject, teacher, seen):
     """The held-out picture is the field's own: nothing that is learned makes it better."""
-    lesson = list(lessons(teacher, seen, subject.gaze, SIZE, small.config.upsampling, around=1, eyes=0))[1]
+    (lesson,) = teacher_lessons(teacher, seen, subject.gaze, SIZE, small.config.upsampling, around=1, eyes=0)
     own = Head(small, subject).at(lesson.gaze).render(lesson.camera).image
-    same = Lesson(lesson.camera, lesson.gaze, torch.from_numpy(own).permute(2, 0, 1), lesson.mask)
-    tuned = fine_tune(small, subject, [lesson], [same], Tuning(steps=40, check_every=4, patience=2))
-    assert tuned.steps == 8 and tuned.after == tuned.before
-    assert all(not value.any() for name, value in tuned.personal.changes.items() if ".plane." not in name)
+    same = Lesson(subject.codes, lesson.camera, lesson.gaze, torch.from_numpy(own).permute(2, 0, 1), lesson.mask)
+    tuning = Tuning(steps=40, check_every=4, patience=2)
+    learner = ColourLearner(small, [lesson], [same], tuning)
+    start = learner.agreement()
+    course = learn(learner, tuning)
+    assert course.done == 8 and course.best == start
+    assert all(not value.any() for name, value in course.kept.items() if ".plane." not in name)
+
+
+def test_each_kind_of_lesson_has_its_share():
+    found = chances(["own", "around", "around", "eyes"])
+    np.testing.assert_allclose(found, [SHARES["own"], *2 * [0.5 * SHARES["around"]], SHARES["eyes"]])
+    np.testing.assert_allclose(chances(["around", "eyes"]).sum(), 1.0)
 
 
 def test_fields_of_another_kind_are_refused_in_one_line():
     field = make_field(tiny_config(merge="max"))
     with pytest.raises(UserError, match="only fields that this project trained"):
-        fine_tune(field, make_subject(field.config), [], [])
+        ColourLearner(field, [], [], Tuning())
 
 
 def test_the_eyes_of_the_teacher_take_the_photographs_iris(model, rendered, landmarks):

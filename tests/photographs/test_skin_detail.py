@@ -50,7 +50,7 @@ def with_detail(person: tuple[Subject, Seen]) -> tuple[Head, Head, np.ndarray]:
 def test_the_photograph_is_drawn_again(person, with_detail) -> None:
     (subject, seen), (before, after, values) = person, with_detail
     assert values.dtype == np.float16 and values.shape == (3, 2 * EXTENT[1] / TEXEL, 2 * EXTENT[0] / TEXEL)
-    lesson = photograph_lesson(seen, subject.gaze, SIZE)
+    lesson = photograph_lesson(seen, subject.codes, subject.gaze, SIZE)
     wanted = lesson.image.permute(1, 2, 0).numpy()
     openings = moved_to_square(seen, eye_openings(seen.landmarks, (384, 384)).astype(np.float32), SIZE, 1) > 0.1
     away = cv2.dilate(openings.astype(np.uint8), np.ones((15, 15), np.uint8)) == 0
