@@ -1,10 +1,9 @@
-"""Learn what texture codes say of the skin and a field does not draw: freckles, stubble, brows.
+"""Learn what texture codes say of the skin and a feature map is too coarse to draw: freckles, stubble, hairs of brows.
 
-    python scripts/learn_detail.py --checkpoint out/settled/field.safetensors --out out/detail --people 300
+    python scripts/learn_detail.py --checkpoint out/settled/field.safetensors --out out/detailed.safetensors
 
-Pictures of the head model's people are drawn by the field and rendered, which takes seconds each; what is seen lies in
-the folder, and a run that was stopped goes on. It writes `field.safetensors` there, whose `texture_detail` is fitted by
-least squares. Any detail that the field had is replaced.
+It is learned from the head model's colours, without pictures, in a minute or two. The field needs features at places on
+the template; any detail that it has is replaced.
 """
 
 from __future__ import annotations
@@ -23,20 +22,19 @@ def main() -> None:
     """See the module."""
     defaults = DetailOptions()
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--checkpoint", type=Path, required=True, help="a field with features on the template")
-    parser.add_argument("--out", type=Path, required=True, help="folder of the run")
+    parser.add_argument("--checkpoint", required=True, help="a field with features on the template")
+    parser.add_argument("--out", type=Path, required=True, help="its file with detail")
     parser.add_argument("--people", type=int, default=defaults.people)
     parser.add_argument("--rank", type=int, default=defaults.rank)
-    parser.add_argument("--ridge", type=float, default=defaults.ridge)
-    parser.add_argument("--seed", type=int, default=defaults.seed)
+    parser.add_argument("--half", action="store_true", help="store half precision")
     arguments = parser.parse_args()
-    options = DetailOptions(people=arguments.people, rank=arguments.rank, ridge=arguments.ridge, seed=arguments.seed)
     field = load_field(arguments.checkpoint)
     with showing_progress() as progress:
-        detailed = learn_texture_detail(field, options, arguments.out, progress)
+        options = DetailOptions(people=arguments.people, rank=arguments.rank)
+        detailed = learn_texture_detail(field, options, progress)
     detailed.about = {**field.about, "detail": {"people": options.people, "rank": options.rank}}
-    save_field(detailed, arguments.out / "field.safetensors")
-    print(f"wrote {arguments.out / 'field.safetensors'}")
+    save_field(detailed, arguments.out, half=arguments.half)
+    print(f"wrote {arguments.out}")
 
 
 if __name__ == "__main__":

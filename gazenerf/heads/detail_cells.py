@@ -35,7 +35,7 @@ def seen_cells(head: Head, geometry: GeometryView, size: int, cells: tuple[int, 
     _, rays = geometry.camera.rays()
     normals = np.cross(np.gradient(points, axis=1), np.gradient(points, axis=0))
     facing = np.abs((normals * rays).sum(-1)) / np.linalg.norm(normals, axis=-1).clip(1e-12)
-    hit = np.isfinite(facing) & (geometry.opacity > SOLID)
+    hit = np.isfinite(facing) & np.isfinite(geometry.depth) & (geometry.opacity > SOLID)
     if np.count_nonzero(hit) < 4:  # no triangle
         return np.full((*cells, 2), -1.0, np.float32), np.zeros(cells, np.float32)
     with head.quickly():
