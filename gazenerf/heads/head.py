@@ -250,7 +250,7 @@ class Head:
             self._refresh()
             whole = self.field.texture_detail
             if self._texture_detail is None and whole is not None:
-                texture = torch.from_numpy(np.asarray(self.subject.codes.texture, np.float32)).to(self.device)
+                texture = torch.tensor(self.subject.codes.texture, dtype=torch.float32, device=self.device)
                 with self.exactly():
                     self._texture_detail = whole.of(texture)
             return self._texture_detail

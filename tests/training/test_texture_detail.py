@@ -41,7 +41,7 @@ def test_a_field_draws_the_detail_of_its_texture_codes() -> None:
     detailed = with_texture_detail(field, coefficients, np.ones(coefficients.shape[1]), rank=2)
     assert detailed.config.detail == (2, *CELLS) and field.config.detail == (0, 0, 0)
     assert detailed.texture_detail is not None
-    values = detailed.texture_detail.of(torch.from_numpy(subject.codes.texture)).values.detach().numpy()
+    values = detailed.texture_detail.of(torch.tensor(subject.codes.texture)).values.detach().numpy()
     wanted = coefficients[:, 0] + np.einsum("ckhw,k->chw", coefficients[:, 1:], subject.codes.texture)
     np.testing.assert_allclose(values, wanted, atol=1e-4)
 
