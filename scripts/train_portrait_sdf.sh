@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Rebuild the bundled field `portrait-sdf` on a CPU: distances from points of the head model's people, the colours of
-# `portrait` settle on them, move to places on the template and settle again, half-precision weights, quality.
+# `portrait` settle on them, move to places on the template and settle again, detail of the skin, half precision, quality.
 #   scripts/train_portrait_sdf.sh FOLDER [--minutes 45] [more arguments of `gazenerf train`]
 # --minutes is the time in which the colours settle the second time. Distances take an hour to two of one core,
 # the first settling 19 minutes, the move 15, captures two. Persons 12 and 13 of the first 40 are left out of the
@@ -30,25 +30,20 @@ settle() { # folder of the run, field to begin with, field settings as JSON, mor
 		--held-out 0 --set "field_overrides=$field" "${settings[@]}" "$@"
 }
 
-"$python" "$scripts/learn_distances.py" --out "$folder/distances" --steps 20000 --people 500 --resume
+"$python" "$scripts/learn_distances.py" --out "$folder/distances" --steps 27000 --people 500 --resume
 "${gazenerf[@]}" synthesize --out "$folder/people" --people 40 --views 4 --size 512 --seed 1 --expressions few
 "${gazenerf[@]}" synthesize --out "$folder/others" --people 40 --views 4 --size 512 --seed 2 --expressions few
 "$python" "$scripts/join_captures.py" --base "$folder/people" --others "$folder/others" --held-out 12 13 \
 	--out "$folder/learned"
-sharp='"geometry": "distance", "surface_spread": 0.004, "shell": 0.03, "shell_samples": 6'
+sharp='"geometry": "distance", "template_frequencies": 8, "template_fall": 1.3, "surface_spread": 0.003, "shell": 0.024, "shell_samples": 6'
 [ -f "$folder/settled/field.safetensors" ] ||
 	settle "$folder/settled" "$folder/distances/field.safetensors" "{$sharp}" learning_rate=3e-4 --minutes 19
 "$python" "$scripts/move_features.py" --checkpoint "$folder/settled/field.safetensors" --out "$folder/moved" --resume
 settle "$folder/run" "$folder/moved/field.safetensors" "{$sharp, \"features_at\": \"template\"}" learning_rate=5e-4 \
-	--minutes 45 "$@"
-"$python" - "$folder/run/field.safetensors" <<'PY'
-import sys
-
-from gazenerf.checkpoints import FIELDS, load_field, save_field
-
-save_field(load_field(sys.argv[1]), FIELDS / "portrait-sdf.safetensors", half=True)
-print("wrote portrait-sdf in half precision")
-PY
+	eyes_weight=3 --minutes 45 "$@"
+fields=$("$python" -c 'from gazenerf.checkpoints import FIELDS; print(FIELDS)')
+"$python" "$scripts/learn_detail.py" --checkpoint "$folder/run/field.safetensors" --half \
+	--out "$fields/portrait-sdf.safetensors"
 "$python" "$scripts/join_captures.py" --base "$folder/people" --more "$folder/people" --held-out $(seq 14 39) \
 	--out "$folder/watched"
 "${gazenerf[@]}" evaluate --data "$folder/watched" --held-out 2 --limit 2 --checkpoint portrait-sdf \
