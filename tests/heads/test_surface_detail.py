@@ -18,6 +18,7 @@ from gazenerf.heads.cutouts import render_cut_out
 from gazenerf.heads.surface_detail import surface_places
 from gazenerf.personal_weights import PersonalWeights
 from gazenerf.subjects import load_subject
+from gazenerf.training.texture_detail import without_detail
 
 SIZE, GAZE = 128, Gaze(0.1, -0.2)
 CAMERAS = [Camera.orbit(0.0, size=SIZE), Camera.orbit(0.5, 0.1, size=SIZE)]
@@ -25,7 +26,8 @@ CAMERAS = [Camera.orbit(0.0, size=SIZE), Camera.orbit(0.5, 0.1, size=SIZE)]
 
 def detailed(name: str) -> tuple[Head, Head]:
     """A head without and with waves of detail."""
-    field, subject = load_field(name), load_subject("noa")
+    field, subject = without_detail(load_field(name)), load_subject("noa")
+    field.weights_hash = "0123456789abcdef"
     rows, columns = np.mgrid[0:54, 0:72].astype(np.float32)
     values = 0.05 * np.stack([np.sin(0.6 * columns), np.sin(0.5 * rows), np.cos(0.4 * (rows + columns))])
     changes = {"detail.values": values.astype(np.float16)}
