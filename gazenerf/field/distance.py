@@ -56,13 +56,13 @@ def laplace_density(distance: torch.Tensor, spread: float) -> torch.Tensor:
 
 def scaled_encoding(points: torch.Tensor, frequencies: int, fall: float) -> torch.Tensor:
     """`positional_encoding` of points (..., 3) whose octaves have amplitudes that fall by a factor each."""
-    return positional_encoding(points, frequencies) * octave_gains(frequencies, fall).to(points)
+    return positional_encoding(points, frequencies) * octave_gains(frequencies, fall, points.device)
 
 
-def octave_gains(frequencies: int, fall: float) -> torch.Tensor:
+def octave_gains(frequencies: int, fall: float, device: torch.device | str = "cpu") -> torch.Tensor:
     """(3 + 6 N,) factors on a point and on the octaves of its encoding, each a factor `fall` below the one before."""
-    octaves = torch.arange(frequencies).repeat_interleave(6)
-    return torch.cat([torch.ones(3), OCTAVE_GAIN * fall**-octaves])
+    octaves = torch.arange(frequencies, device=device).repeat_interleave(6)
+    return torch.cat([torch.ones(3, device=device), OCTAVE_GAIN * fall**-octaves])
 
 
 class TemplateMove(nn.Module):

@@ -10,6 +10,7 @@ from gazenerf.errors import UserError
 from gazenerf.field.config import FieldConfig
 from gazenerf.field.distance import octave_gains
 from gazenerf.field.model import TwoStreamField
+from gazenerf.training.texture_detail import without_detail
 
 _FREE = {
     "trained_gaze_range",
@@ -52,13 +53,13 @@ def starting_field(config: FieldConfig, initial: TwoStreamField | None = None) -
     field = TwoStreamField(config)
     if initial is None:
         return field
+    if not any(config.detail):  # detail does not fit colours that are learned further
+        initial = without_detail(initial)
     ours, theirs = config.to_dict(), initial.config.to_dict()
     on_distances = config.geometry == "distance" and initial.config.geometry == "density"
     free = _FREE | (_GEOMETRY if on_distances else set())
     finer = not on_distances and ours["template_frequencies"] >= theirs["template_frequencies"]
     free = free | set(_TEMPLATE) if finer else free
-    if not any(config.detail):  # colours that are learned further leave nothing that detail still fits
-        free = free | {"detail"}
     differing = {name: theirs[name] for name in ours if name not in free and ours[name] != theirs[name]}
     if differing:
         there = ", ".join(f"{name} {json.dumps(value)} where it needs {json.dumps(ours[name])}"
@@ -67,8 +68,7 @@ def starting_field(config: FieldConfig, initial: TwoStreamField | None = None) -
             f"the checkpoint of --from does not fit the preset: it has {there}; choose the --preset it was trained "
             "with, or captures of its size"
         )
-    weights = {name: value for name, value in initial.state_dict().items()
-               if any(config.detail) or not name.startswith("texture_detail.")}  # fmt: skip
+    weights = initial.state_dict()
     if on_distances:
         kept = {name: value for name, value in weights.items() if ".density." not in name}
         weights = {**{name: value for name, value in field.state_dict().items() if ".distance." in name}, **kept}

@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 import torch
 
+from gazenerf.checkpoints import field_from_weights
 from gazenerf.data.surface_points import template_of
 from gazenerf.errors import UserError
-from gazenerf.field.config import FieldConfig
 from gazenerf.field.detail import DARK, EXTENT
 from gazenerf.field.model import TwoStreamField
 from gazenerf.geometry import Gaze
@@ -163,7 +163,7 @@ def without_detail(field: TwoStreamField) -> TwoStreamField:
     if field.texture_detail is None:
         return field
     weights = {name: value for name, value in field.state_dict().items() if not name.startswith("texture_detail.")}
-    return _field(replace(field.config, detail=(0, 0, 0)), weights, field)
+    return _changed(field, weights, (0, 0, 0))
 
 
 def with_texture_detail(field: TwoStreamField, detail: np.ndarray, scale: np.ndarray, rank: int) -> TwoStreamField:
@@ -184,12 +184,10 @@ def with_texture_detail(field: TwoStreamField, detail: np.ndarray, scale: np.nda
     weights = dict(field.state_dict())
     weights["texture_detail.mix"] = torch.from_numpy(mix.astype(np.float32))
     weights["texture_detail.maps"] = torch.from_numpy(maps.reshape(rank, rows, columns).astype(np.float32))
-    return _field(replace(field.config, detail=(rank, rows, columns)), weights, field)
+    return _changed(field, weights, (rank, rows, columns))
 
 
-def _field(config: FieldConfig, weights: dict[str, torch.Tensor], like: TwoStreamField) -> TwoStreamField:
-    with torch.device("meta"):
-        made = TwoStreamField(config)
-    made.load_state_dict(weights, assign=True)
-    made.about = like.about
-    return made.eval().requires_grad_(False)
+def _changed(field: TwoStreamField, weights: dict[str, torch.Tensor], detail: tuple[int, int, int]) -> TwoStreamField:
+    made = field_from_weights(weights, replace(field.config, detail=detail), "a field with other detail")
+    made.about = field.about
+    return made
