@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+import torch
 import trimesh
 
 from gazenerf.errors import UserError
 from gazenerf.export.mesh.triangles import signed_volumes, without_collapsed
 from gazenerf.export.surface.densities import DensityGrid, extent
+from gazenerf.field.distance import laplace_distance
 
 METHODS = ("flying-edges", "lewiner")
-
-
-DEEPEST = 10.0
-"""Scales of the Laplace distribution beyond which a density tells no distance any more."""
 
 
 def isosurface(
@@ -47,7 +45,7 @@ def isosurface(
         )
     low, values = _around(values, level)
     if spread is not None:
-        values, level = inwards(values, spread), float(inwards(np.array([level], np.float32), spread)[0])
+        values, level = _inwards(values, spread), float(_inwards(np.array([level], np.float32), spread)[0])
     origin = grid.origin + grid.spacing * low
     if method == "flying-edges":
         places, faces = _flying_edges(values, level)
@@ -62,18 +60,9 @@ def isosurface(
     return mesh
 
 
-def inwards(density: np.ndarray, spread: float) -> np.ndarray:
-    """float32 distances below the surface, world units, of densities that `laplace_density` gave.
-
-    Up to `DEEPEST` spreads to both sides.
-
-    Args:
-        density: (...) float32 per world unit.
-        spread: World units.
-    """
-    share = np.clip(density * np.float32(spread), 0.5 * np.exp(-DEEPEST), 1.0 - 0.5 * np.exp(-DEEPEST))
-    far = np.log(2.0 * np.minimum(share, 1.0 - share))
-    return (spread * np.where(share < 0.5, far, -far)).astype(np.float32)
+def _inwards(density: np.ndarray, spread: float) -> np.ndarray:
+    """float32 distances below the surface, world units, of densities (...) that `laplace_density` gave."""
+    return -laplace_distance(torch.from_numpy(density), spread).numpy()
 
 
 def _around(values: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarray]:

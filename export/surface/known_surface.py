@@ -74,7 +74,7 @@ class _KnownSurface(BoundHead):
             if band is None:
                 return None
             found = self.head.in_chunks(partial(self.density_of, self._streams), band.points)
-            return DensityLattice(band, torch.cat(found))
+            return DensityLattice(band, torch.cat(found), self.surface_spread)
 
     def surface(
         self,

@@ -10,6 +10,7 @@ same place whoever it is, as deformed and deep implicit templates do (Deng et al
 from __future__ import annotations
 
 import itertools
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +39,9 @@ MOVING_PASSES = 2
 GAZE_CODES, GAZE_GAIN, GAZE_WIDTH = 8, 3.0, 32
 """Values that a gaze becomes, beside which a displacement is linear, and how: gain of the label, width."""
 
+DEEPEST = 15.0
+"""Spreads from the surface up to which distances are told from float32 densities: deeper, those no longer differ."""
+
 
 def laplace_density(distance: torch.Tensor, spread: float) -> torch.Tensor:
     """Density per world unit of signed distances, negative inside (Yariv et al. 2021, Eq. 2 and 3).
@@ -52,6 +56,21 @@ def laplace_density(distance: torch.Tensor, spread: float) -> torch.Tensor:
     inside = -distance / spread
     outer = 0.5 * torch.exp(inside.clamp(max=0.0))
     return torch.where(inside <= 0.0, outer, 1.0 - 0.5 * torch.exp(-inside.clamp(min=0.0))) / spread
+
+
+def laplace_distance(density: torch.Tensor, spread: float) -> torch.Tensor:
+    """Signed distances, world units, whose `laplace_density` is given, at most `DEEPEST` spreads to both sides.
+
+    Between points they are close to straight, where densities are steps: what is interpolated should be these.
+
+    Args:
+        density: (...) per world unit.
+        spread: Scale of the distribution, world units.
+    """
+    least = 0.5 * math.exp(-DEEPEST)
+    share = (density * spread).clamp(least, 1.0 - least)
+    away = torch.log(2.0 * torch.minimum(share, 1.0 - share))
+    return spread * torch.where(share < 0.5, -away, away)
 
 
 def scaled_encoding(points: torch.Tensor, frequencies: int, fall: float) -> torch.Tensor:

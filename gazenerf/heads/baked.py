@@ -154,7 +154,7 @@ def bake(head: Head, gaze: Gaze, progress: Progress = silent) -> BakedHead:
         parts = band.points.split(max(1, head.chunk) * workers_for(head.device))
         for points in counted(parts, progress, "bake", len(parts)):
             found += head.in_chunks(bound.features, points, 4)
-        density = DensityLattice(band, torch.cat([item[0] for item in found]))
+        density = DensityLattice(band, torch.cat([item[0] for item in found]), bound.surface_spread)
         features = FeatureLattice(band, torch.cat([item[1] for item in found]))
     report = BakeReport(time.perf_counter() - started, len(band.vertices), density.nbytes + features.nbytes, gaze)
     return BakedHead(head, Bake(density, features, eyes, report))

@@ -1,7 +1,8 @@
 """Density of a bound head on a lattice around its surface, where rays find that surface without the network.
 
-Before its activation the density is close to linear over half an occupancy cell, so what is
-interpolated is the inverse softplus of the density, not the density.
+Before its activation the density is close to linear over half an occupancy cell, so what is interpolated is
+what was activated, not the density: the inverse softplus of it, or the signed distance where the density
+follows from one. Densities of distances are steps, which a lattice would turn into stairs.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import torch
 import torch.nn.functional as F
 from scipy import ndimage
 
+from gazenerf.field.distance import DEEPEST, laplace_density, laplace_distance
 from gazenerf.field.sampling import box_interval
 from gazenerf.field.streams import SOFTPLUS_GAIN
 from gazenerf.heads.march import first_surface
@@ -95,11 +97,17 @@ class DensityLattice:
     Args:
         band: Where.
         density: (V,) at the band's points.
+        spread: `BoundField.surface_spread`, where density follows from signed distances.
     """
 
-    def __init__(self, band: Band, density: torch.Tensor) -> None:
-        raw = torch.where(band.inside, FULL, EMPTY)
-        raw[tuple(band.vertices.T)] = to_raw(density)
+    def __init__(self, band: Band, density: torch.Tensor, spread: float | None = None) -> None:
+        self.spread = spread
+        if spread is None:
+            raw = torch.where(band.inside, FULL, EMPTY)
+            raw[tuple(band.vertices.T)] = to_raw(density)
+        else:
+            raw = torch.where(band.inside, -DEEPEST * spread, DEEPEST * spread)
+            raw[tuple(band.vertices.T)] = laplace_distance(density.float(), spread)
         self.raw = raw[None, None].contiguous()
         self.box = band.box
         self.extent = band.box[1] - band.box[0]
@@ -116,8 +124,8 @@ class DensityLattice:
     def density(self, points: torch.Tensor) -> torch.Tensor:
         """(...) per world unit at points (..., 3); the lattice's border beyond its box."""
         place = (2.0 * (points - self.box[0]) / self.extent - 1.0).flip(-1).reshape(1, 1, 1, -1, 3)
-        raw = F.grid_sample(self.raw, place, align_corners=True, padding_mode="border")
-        return SOFTPLUS_GAIN * F.softplus(raw).reshape(points.shape[:-1])
+        raw = F.grid_sample(self.raw, place, align_corners=True, padding_mode="border").reshape(points.shape[:-1])
+        return SOFTPLUS_GAIN * F.softplus(raw) if self.spread is None else laplace_density(raw, self.spread)
 
     def first_surface(
         self, rays_o: torch.Tensor, rays_d: torch.Tensor, start: torch.Tensor | None = None

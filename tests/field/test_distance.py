@@ -13,6 +13,7 @@ from gazenerf.checkpoints import load_field, save_field
 from gazenerf.field.distance import (
     DistanceNetwork,
     laplace_density,
+    laplace_distance,
     scaled_encoding,
 )
 from gazenerf.field.model import TwoStreamField
@@ -30,6 +31,13 @@ def test_density_is_the_laplace_distribution_of_minus_the_distance() -> None:
     np.testing.assert_allclose(laplace_density(distance, 0.02).numpy(), expected, rtol=1e-5)
     far = laplace_density(torch.tensor([-1e6, 1e6]), 0.01)
     assert far.tolist() == [pytest.approx(100.0), 0.0]
+
+
+def test_densities_tell_their_distances() -> None:
+    distance = torch.linspace(-0.12, 0.12, 41)
+    torch.testing.assert_close(laplace_distance(laplace_density(distance, 0.01), 0.01), distance, atol=2e-4, rtol=0.0)
+    deepest = laplace_distance(torch.tensor([0.0, 200.0]), 0.01)
+    torch.testing.assert_close(deepest, torch.tensor([0.15, -0.15]), atol=5e-3, rtol=0.0)
 
 
 def test_a_fresh_network_is_the_distance_from_the_nearest_ball() -> None:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from gazenerf.field.distance import laplace_density
 from gazenerf.geometry import Camera, camera_rays
 from gazenerf.heads.lattice import Band, DensityLattice, to_raw
 from gazenerf.heads.march import first_surface
@@ -37,6 +38,21 @@ def test_the_band_is_a_shell_and_the_lattice_knows_the_density_there() -> None:
     true, found = ball(points), lattice.density(points)
     assert ((found - true).abs() < 0.1 * true + 0.3).float().mean() > 0.99
     assert float(lattice.density(torch.zeros(1, 3))) > 50 and float(lattice.density(torch.tensor([[1.3, 0, 0]]))) < 1e-3
+
+
+def test_the_step_of_a_distance_lies_where_it_is_between_vertices() -> None:
+    spread, radius = 0.003, 0.9
+
+    def step(points: torch.Tensor) -> torch.Tensor:
+        return laplace_density(points.norm(dim=-1) - radius, spread)
+
+    band = Band.of(Occupancy.of(step, BOX))
+    points = torch.randn(4000, 3, generator=torch.Generator().manual_seed(0))
+    points = points / points.norm(dim=-1, keepdim=True) * torch.linspace(0.88, 0.92, 4000)[:, None]
+    wrong = []
+    for lattice in (DensityLattice(band, step(band.points), spread), DensityLattice(band, step(band.points))):
+        wrong.append(float((lattice.density(points) - step(points)).abs().mean()) * spread)
+    assert wrong[0] < 0.01 and wrong[1] > 10 * wrong[0], wrong
 
 
 def test_what_is_enclosed_is_not_kept() -> None:

@@ -9,8 +9,7 @@ import torch
 from gazenerf.export.options import MeshOptions
 from gazenerf.export.part_mesh import extract_part
 from gazenerf.export.surface.densities import sample_density
-from gazenerf.export.surface.isosurface import inwards, isosurface
-from gazenerf.field.distance import laplace_density
+from gazenerf.export.surface.isosurface import isosurface
 from gazenerf.field.model import TwoStreamField
 from gazenerf.geometry import Gaze
 from gazenerf.heads import Head
@@ -32,13 +31,6 @@ def ball() -> BoundHead:
             torch.nn.init.zeros_(weights)
         network.set_balls(np.array(balls))
     return Head(field.requires_grad_(False), make_subject(config)).at(Gaze())
-
-
-def test_densities_tell_their_distances() -> None:
-    distance = np.linspace(-0.08, 0.08, 41, dtype=np.float32)
-    found = inwards(laplace_density(torch.from_numpy(distance), SPREAD).numpy(), SPREAD)
-    np.testing.assert_allclose(found, -distance, atol=2e-4)
-    np.testing.assert_allclose(inwards(np.array([0.0, 200.0], np.float32), SPREAD), [-0.1, 0.1], atol=1e-3)
 
 
 @pytest.mark.parametrize("method", ["flying-edges", "lewiner"])
