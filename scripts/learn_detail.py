@@ -2,7 +2,7 @@
 
     python scripts/learn_detail.py --checkpoint out/settled/field.safetensors --out out/detailed.safetensors
 
-It is learned from the head model's colours, without pictures, in a minute or two. The field needs features at places on
+It is the head model's albedo in few maps, without pictures, and takes seconds. The field needs features at places on
 the template; any detail that it has is replaced.
 """
 
@@ -13,7 +13,6 @@ import sys
 from pathlib import Path
 
 from gazenerf.checkpoints import load_field, save_field
-from gazenerf.cli.common import showing_progress
 from gazenerf.errors import UserError
 from gazenerf.training.texture_detail import DetailOptions, learn_texture_detail
 
@@ -29,9 +28,8 @@ def main() -> None:
     parser.add_argument("--half", action="store_true", help="store half precision")
     arguments = parser.parse_args()
     field = load_field(arguments.checkpoint)
-    with showing_progress() as progress:
-        options = DetailOptions(people=arguments.people, rank=arguments.rank)
-        detailed = learn_texture_detail(field, options, progress)
+    options = DetailOptions(people=arguments.people, rank=arguments.rank)
+    detailed = learn_texture_detail(field, options)
     detailed.about = {**field.about, "detail": {"people": options.people, "rank": options.rank}}
     save_field(detailed, arguments.out, half=arguments.half)
     print(f"wrote {arguments.out}")

@@ -37,16 +37,17 @@ class SurfaceDetail(nn.Module):
 
 
 class TextureDetail(nn.Module):
-    """What texture codes say of the skin: detail that is linear in the codes, of low rank.
+    """The skin's colour by direction, as `SurfaceDetail` has it, linear in texture codes and of low rank.
 
-    Logarithms of colour ratios: a picture whose sRGB is c becomes (c + `DARK`) exp(values) - `DARK`, in any light.
+    What of it a picture lacks is told by `gazenerf.heads.skin_bands`.
 
     Args:
         config: Sizes.
 
     Attributes:
         maps: (R, H, W), each a map over directions.
-        mix: (3, 1 + T, R): how much of each map the mean and every texture code give to each channel.
+        mix: (3, 1 + T, R): how much of each map the mean and every texture code give to each linear RGB channel.
+        share: (H, W) in [0, 1], how much detail is drawn in each direction: none beside the skin.
     """
 
     def __init__(self, config: FieldConfig) -> None:
@@ -54,11 +55,12 @@ class TextureDetail(nn.Module):
         rank, rows, columns = config.detail
         self.maps = nn.Parameter(torch.zeros(rank, rows, columns))
         self.mix = nn.Parameter(torch.zeros(3, 1 + config.texture, rank))
+        self.share = nn.Parameter(torch.zeros(rows, columns))
 
-    def of(self, texture: torch.Tensor) -> SurfaceDetail:
-        """The detail of a texture code (T,)."""
+    def albedo(self, texture: torch.Tensor) -> torch.Tensor:
+        """(3, H, W) linear RGB, not clipped, of a texture code (T,)."""
         weights = self.mix[:, 0] + torch.einsum("ctr,t->cr", self.mix[:, 1:], texture)
-        return SurfaceDetail(torch.einsum("cr,rhw->chw", weights, self.maps).contiguous()).requires_grad_(False)
+        return torch.einsum("cr,rhw->chw", weights, self.maps)
 
 
 def detail_coordinates(places: torch.Tensor) -> torch.Tensor:

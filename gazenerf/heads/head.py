@@ -27,6 +27,7 @@ from gazenerf.heads.interface import Part
 from gazenerf.heads.lattice import Band
 from gazenerf.heads.occupancy import MOVED, Occupancy
 from gazenerf.heads.personal import personal_field
+from gazenerf.heads.skin_bands import skin_detail
 from gazenerf.heads.upsampler import Upsampler, make_upsampler, upsample_window
 from gazenerf.subjects import Subject
 from gazenerf.workers import pool, workers_for
@@ -252,7 +253,7 @@ class Head:
             if self._texture_detail is None and whole is not None:
                 texture = torch.tensor(self.subject.codes.texture, dtype=torch.float32, device=self.device)
                 with self.exactly():
-                    self._texture_detail = whole.of(texture)
+                    self._texture_detail = skin_detail(whole, texture)
             return self._texture_detail
 
     def _refresh(self) -> None:

@@ -1,8 +1,8 @@
-"""What texture codes say of the skin and a feature map is too coarse to draw: freckles, stubble, the hairs of brows.
+"""The skin's colour by place on the template, for the detail that a feature map is too coarse to draw.
 
-The head model's albedo is known wherever a ray meets its mean head. Its logarithm follows nearly linearly from the
-texture code; of that, what is finer than a field's pictures show is kept, as few maps that codes mix. No pictures are
-looked at.
+The head model's albedo is known wherever a ray meets its mean head, and linear in the texture code. It is stored as few
+maps that codes mix, and what a field's pictures lack of it is told for each person; see `gazenerf.heads.skin_bands`. No
+pictures are looked at.
 """
 
 from __future__ import annotations
@@ -16,25 +16,13 @@ import torch
 from gazenerf.checkpoints import field_from_weights
 from gazenerf.data.surface_points import template_of
 from gazenerf.errors import UserError
-from gazenerf.field.detail import DARK, EXTENT
+from gazenerf.field.detail import EXTENT
 from gazenerf.field.model import TwoStreamField
-from gazenerf.geometry import Gaze
 from gazenerf.head_model import load_head_model
 from gazenerf.head_model.interface import FACE
 from gazenerf.head_model.model import ParametricHead
 from gazenerf.head_model.ray_scenes import ray_scene, tensor
 from gazenerf.head_model.sampling import sample_person
-from gazenerf.head_model.shading import linear_to_srgb
-from gazenerf.progress import Progress, silent
-from gazenerf.subjects import Codes
-
-BANDS, GAINS = (0.0, 0.625, 1.25, 2.5, 5.0, 10.0), (0.6, 1.0, 0.4, 0.0, 0.1)
-"""Degrees: deviations of Gaussians between which bands of detail lie; and how much of each band is drawn.
-
-By least squares, over pictures of 50 people, `portrait-sdf` lacked 0.1, 1.1, 0.35, 0.0 and 0.1 of them: the rest it
-draws itself. The finest band does not lie where it should to a millimetre, so that least squares would leave it out;
-drawn all the same, pictures look more alike (LPIPS).
-"""
 
 FADING, BESIDE_EYES = 12.0, 1.0
 """Degrees over which detail fades at the border of what it covers, and beside the openings of the eyes."""
@@ -45,10 +33,10 @@ FAR = 4.0
 
 @dataclass(frozen=True)
 class DetailOptions:
-    """How detail is learned.
+    """How the skin is stored.
 
     Attributes:
-        people: How many texture codes are drawn.
+        people: How many texture codes are drawn, to know how much each varies.
         size: Rows and columns of the maps.
         rank: How many maps.
         seed: Draws the codes.
@@ -60,15 +48,12 @@ class DetailOptions:
     seed: int = 11
 
 
-def learn_texture_detail(
-    field: TwoStreamField, options: DetailOptions | None = None, progress: Progress = silent
-) -> TwoStreamField:
+def learn_texture_detail(field: TwoStreamField, options: DetailOptions | None = None) -> TwoStreamField:
     """A field with texture detail; it shares its other weights.
 
     Args:
         field: With features at places on the template, and the bundled head model's codes. Detail it has is replaced.
-        options: How it is learned.
-        progress: Told about people.
+        options: How the skin is stored.
 
     Raises:
         UserError: the field is of another kind.
@@ -79,13 +64,11 @@ def learn_texture_detail(
     if field.config.code_sizes != model.code_sizes:
         raise UserError(f"the field takes codes of {field.config.code_sizes}, the head model has {model.code_sizes}")
     skin = TemplateSkin(model, options.size)
-    codes = []
-    for number in range(options.people):
-        codes.append(sample_person(np.random.default_rng((options.seed, number)), model).texture)
-    varying = np.sqrt(np.mean(np.square([[1.0, *code] for code in codes]), axis=0)).clip(min=1e-3)
-    coefficients = _linear(skin, np.stack(codes) / varying[1:], varying[1:], progress)
-    detail = drawn_bands(coefficients) * skin.share(FADING, BESIDE_EYES)
-    return with_texture_detail(without_detail(field), detail, varying, options.rank)
+    rngs = (np.random.default_rng((options.seed, number)) for number in range(options.people))
+    codes = np.stack([[1.0, *sample_person(rng, model).texture] for rng in rngs])
+    varying = np.sqrt(np.mean(np.square(codes), axis=0)).clip(min=1e-3)
+    share = skin.share(FADING, BESIDE_EYES)
+    return with_texture_detail(without_detail(field), skin.albedo(), share, varying, options.rank)
 
 
 class TemplateSkin:
@@ -108,9 +91,9 @@ class TemplateSkin:
         first = ray_scene(template.vertices, skin, eyes).cast_rays(tensor(rays))["geometry_ids"].numpy()
         found = ray_scene(template.vertices, skin).cast_rays(tensor(rays))
         met, weights = found["primitive_ids"].numpy().astype(np.int64), found["primitive_uvs"].numpy()
-        self._hit = np.isfinite(found["t_hit"].numpy())
-        self._corners = skin[np.where(self._hit, met, 0)]
-        self._weights = np.column_stack([1.0 - weights.sum(1), weights])[..., None]
+        hit = np.isfinite(found["t_hit"].numpy())
+        self._corners = skin[np.where(hit, met, 0)]
+        self._weights = np.column_stack([1.0 - weights.sum(1), weights]) * hit[:, None]
         self._eyes = (first == 1).reshape(size)
 
     def _angles(self) -> tuple[np.ndarray, np.ndarray]:
@@ -118,13 +101,13 @@ class TemplateSkin:
         rows, columns = ((np.arange(count) + 0.5) * 2.0 / count - 1.0 for count in self.size)
         return rows * EXTENT[1], columns * EXTENT[0]
 
-    def logarithm(self, texture: np.ndarray) -> np.ndarray:
-        """(H, W, 3) float32 logarithm of the skin's colour in white light by a texture code (T,); see `DARK`."""
-        codes = [np.zeros(size, np.float32) for size in self._model.code_sizes]
-        codes[2] = texture.astype(np.float32)
-        albedo = self._model.mesh(Codes(*codes), Gaze()).albedo[self._corners]
-        colour = linear_to_srgb((albedo * self._weights).sum(axis=1).clip(0.0, 1.0))
-        return np.where(self._hit[:, None], np.log(colour + DARK), 0.0).reshape(*self.size, 3).astype(np.float32)
+    def albedo(self) -> np.ndarray:
+        """(3, 1 + T, H, W) float32 linear RGB of the mean head and added per unit of each texture code; 0 beside it."""
+        vertices, corners = np.unique(self._corners, return_inverse=True)
+        known = self._model.albedo_at(vertices)
+        corners = corners.reshape(self._corners.shape)
+        each = [np.einsum("nkc,nk->cn", values[corners], self._weights) for values in (known.mean, *known.basis)]
+        return np.stack(each, axis=1).reshape(3, -1, *self.size).astype(np.float32)
 
     def share(self, border: float, eyes: float) -> np.ndarray:
         """(H, W) in [0, 1]: 1 on the skin, falling to 0 within some degrees of the border and of the eyes' openings."""
@@ -135,29 +118,6 @@ class TemplateSkin:
         return np.outer(rows, columns) * np.clip(degrees / eyes - 0.5, 0.0, 1.0)
 
 
-def _linear(skin: TemplateSkin, codes: np.ndarray, scale: np.ndarray, progress: Progress) -> np.ndarray:
-    """(1 + T, H, W, 3) by which the skin's logarithms follow best from a one and codes (N, T) over their scale (T,)."""
-    design = np.column_stack([np.ones(len(codes)), codes])
-    wanted = np.zeros((design.shape[1], *skin.size, 3))
-    for number, row in enumerate(design):
-        progress("colours of people", number, len(codes))
-        wanted += row[:, None, None, None] * skin.logarithm(row[1:] * scale)
-    matrix = design.T @ design + 1e-3 * np.eye(design.shape[1])
-    found = np.linalg.solve(matrix, wanted.reshape(len(matrix), -1)).reshape(wanted.shape)
-    return found / np.concatenate([[1.0], scale])[:, None, None, None]
-
-
-def drawn_bands(maps: np.ndarray) -> np.ndarray:
-    """(3, K, H, W) what is drawn of maps (K, H, W, 3): their bands by `GAINS`."""
-    cell = 2.0 * EXTENT[0] / maps.shape[2]
-    found = np.zeros_like(maps)
-    for values, one in zip(maps, found, strict=True):
-        smooth = [values if size == 0.0 else cv2.GaussianBlur(values, (0, 0), size / cell) for size in BANDS]
-        for gain, fine, coarse in zip(GAINS, smooth[:-1], smooth[1:], strict=True):
-            one += gain * (fine - coarse)
-    return found.transpose(3, 0, 1, 2)
-
-
 def without_detail(field: TwoStreamField) -> TwoStreamField:
     """The field without texture detail; its weights are shared."""
     if field.texture_detail is None:
@@ -166,24 +126,27 @@ def without_detail(field: TwoStreamField) -> TwoStreamField:
     return _changed(field, weights, (0, 0, 0))
 
 
-def with_texture_detail(field: TwoStreamField, detail: np.ndarray, scale: np.ndarray, rank: int) -> TwoStreamField:
-    """A field with the best detail of a rank.
+def with_texture_detail(
+    field: TwoStreamField, albedo: np.ndarray, share: np.ndarray, scale: np.ndarray, rank: int
+) -> TwoStreamField:
+    """A field with the skin in the best maps of a rank.
 
     Args:
         field: Without detail.
-        detail: (3, 1 + T, H, W) of the mean and of every texture code.
+        albedo: (3, 1 + T, H, W) linear RGB of the mean and of every texture code.
+        share: (H, W) how much detail is drawn.
         scale: (1 + T,) by how much codes vary.
         rank: How many maps.
     """
-    channels, codes, rows, columns = detail.shape
-    effect = (detail * scale[None, :, None, None]).reshape(channels * codes, -1)
+    channels, codes, rows, columns = albedo.shape
+    effect = (albedo * scale[None, :, None, None]).reshape(channels * codes, -1)
     mix, strength, maps = np.linalg.svd(effect, full_matrices=False)
     rank = min(rank, len(strength))
     mix = (mix[:, :rank] * np.sqrt(strength[:rank])).reshape(channels, codes, rank) / scale[None, :, None]
     maps = maps[:rank] * np.sqrt(strength[:rank, None])
     weights = dict(field.state_dict())
-    weights["texture_detail.mix"] = torch.from_numpy(mix.astype(np.float32))
-    weights["texture_detail.maps"] = torch.from_numpy(maps.reshape(rank, rows, columns).astype(np.float32))
+    found = {"mix": mix, "maps": maps.reshape(rank, rows, columns), "share": share}
+    weights |= {f"texture_detail.{name}": torch.from_numpy(value.astype(np.float32)) for name, value in found.items()}
     return _changed(field, weights, (rank, rows, columns))
 
 
