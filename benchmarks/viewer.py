@@ -198,7 +198,7 @@ def measure(head: Head, seconds: float, visits: int, frames: int) -> dict[str, A
 def main() -> None:
     """Measure, print, write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--checkpoint", help="default: portrait")
+    parser.add_argument("--checkpoint", help="default: the bundled one")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--seconds", type=float, default=6.0, help="of each drag")
     parser.add_argument("--visits", type=int, default=50)

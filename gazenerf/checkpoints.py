@@ -29,7 +29,7 @@ from gazenerf.tensor_files import TensorFileKind, open_tensors
 
 FORMAT = "gazenerf-field-1"
 FIELDS = Path(__file__).parent / "assets" / "fields"
-BUNDLED = FIELDS / "portrait.safetensors"
+BUNDLED = FIELDS / "portrait-sdf.safetensors"
 """The field that is used where none is named."""
 MAX_BYTES = 2**30
 MAX_PARAMETERS = 2**28
@@ -37,7 +37,7 @@ KIND = TensorFileKind(
     "checkpoint",
     FORMAT,
     MAX_BYTES,
-    absent="give --checkpoint portrait, portrait-sdf or small, which are bundled, or a .safetensors file from "
+    absent="give --checkpoint portrait-sdf, portrait or small, which are bundled, or a .safetensors file from "
     "`gazenerf train`",
     foreign="a published checkpoint is converted by `gazenerf import-checkpoint`",
     fix="give a .safetensors file that gazenerf wrote",

@@ -15,7 +15,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from gazenerf.checkpoints import BUNDLED, load_field, save_field
+from gazenerf.checkpoints import load_field, save_field
 from gazenerf.cli.common import showing_progress
 from gazenerf.errors import UserError
 from gazenerf.field.config import FieldConfig
@@ -32,7 +32,7 @@ OCTAVES, FALL = 8, 1.3
 def main() -> None:
     """See the module."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--checkpoint", type=Path, default=BUNDLED, help="a field (default: bundled)")
+    parser.add_argument("--checkpoint", default="portrait", help="a field (default: portrait)")
     parser.add_argument("--out", type=Path, required=True, help="folder of the run")
     parser.add_argument("--steps", type=int, default=8000)
     parser.add_argument("--people", type=int, default=500)

@@ -341,7 +341,9 @@ def test_bundled_fields_have_names() -> None:
     assert list(bundled_fields()) == ["portrait", "portrait-sdf", "small"]
     sizes = {name: load_field(name).config.image_size for name in bundled_fields()}
     assert sizes == {"portrait": 512, "portrait-sdf": 512, "small": 256}
-    assert load_field("portrait-sdf").config.geometry == "distance" and load_field().config.geometry == "density"
-    assert load_field().weights_hash == weights_hash(BUNDLED) == load_field("portrait").weights_hash
-    with pytest.raises(UserError, match="no checkpoint at large; give --checkpoint portrait, portrait-sdf or small"):
+    assert (
+        load_field("portrait-sdf").config.geometry == "distance" and load_field("portrait").config.geometry == "density"
+    )
+    assert load_field().weights_hash == weights_hash(BUNDLED) == load_field("portrait-sdf").weights_hash
+    with pytest.raises(UserError, match="no checkpoint at large; give --checkpoint portrait-sdf, portrait or small"):
         load_field("large")

@@ -22,7 +22,7 @@ class SourceArguments:
 
     Attributes:
         subject: A bundled name or a subject file; the first bundled one by default.
-        checkpoint: A bundled field's name or a file of weights; `portrait` by default.
+        checkpoint: A bundled field's name or a file of weights; `portrait-sdf` by default.
         device: Where the field is computed.
         precision: Of matrix products.
     """
@@ -31,8 +31,8 @@ class SourceArguments:
         None, "a bundled name or a subject file (default: the first bundled; see `gazenerf subjects`)", metavar="S"
     )
     checkpoint: Path | None = option(
-        None, "portrait (512 px), portrait-sdf (its colours on smooth surfaces) or small (256 px), which are bundled, "
-        "or a file (default: portrait)", metavar="FIELD",
+        None, "portrait-sdf (512 px, smooth surfaces), portrait (512 px, densities alone) or small (256 px), which are "
+        "bundled, or a file (default: portrait-sdf)", metavar="FIELD",
     )  # fmt: skip
 
     device: str = option(
@@ -52,9 +52,8 @@ class SourceArguments:
             UserError: the field or the subject cannot be read or do not fit, nothing is bundled, or there is no such
                 device.
         """
-        from gazenerf.checkpoints import BUNDLED
         from gazenerf.cli.report import current
-        from gazenerf.loading import load
+        from gazenerf.loading import default_field, load
 
         started = time.perf_counter()
         head = load(self.subject, self.checkpoint, self.device, self.precision)
@@ -62,7 +61,7 @@ class SourceArguments:
         report.took("loading", time.perf_counter() - started)
         report.choose(
             subject=head.subject.name,
-            field=self.checkpoint or BUNDLED.stem,
+            field=self.checkpoint or default_field(head.subject),
             weights=head.weights_hash,
             device=head.device,
             precision=str(head.dtype).removeprefix("torch."),

@@ -36,7 +36,7 @@ class EvaluateOptions:
     Attributes:
         data: Folder of captures.
         out: JSON report.
-        checkpoint: Field to measure, a bundled name or a file; `portrait` by default.
+        checkpoint: Field to measure, a bundled name or a file; `portrait-sdf` by default.
         held_out, held_out_views: As given to training.
         limit: At most so many captures of each person, evenly spread.
         gaze_estimator: Reads gazes off pictures; the bundled one by default.
@@ -48,7 +48,7 @@ class EvaluateOptions:
     data: Path = option(help="captures from `gazenerf synthesize`", metavar="DIR")
     out: Path = option(help="JSON report", metavar="FILE")
     checkpoint: Path | None = option(
-        None, "portrait, portrait-sdf or small, which are bundled, or a file (default: portrait)", metavar="FIELD"
+        None, "portrait-sdf, portrait or small, which are bundled, or a file (default: portrait-sdf)", metavar="FIELD"
     )
     held_out: int = option(1, "as given to `gazenerf train`", metavar="N")
     held_out_views: float = option(0.05, "as given to train", metavar="SHARE")

@@ -48,7 +48,7 @@ def check_field(field: TwoStreamField) -> None:
     if "eyes" not in field.streams or config.merge != "joint" or config.sampler != "guided":
         raise UserError(
             "only fields that this project trained, of two streams around one surface, can learn from the textured "
-            "head model; choose --checkpoint portrait, portrait-sdf or small, add --method paper, or leave the field "
+            "head model; choose --checkpoint portrait-sdf, portrait or small, add --method paper, or leave the field "
             "as it is with --no-field"
         )
 

@@ -74,7 +74,7 @@ class FieldFitOptions(FitOptions):
     quick: bool = option(False, "fine-tune the field in fewer steps from fewer views: sooner, and less like the person")
     checkpoint: Path | None = option(
         None,
-        "the field that is fine-tuned, and that the subject is to be drawn by (default: portrait)",
+        "the field that is fine-tuned, and that the subject is to be drawn by (default: portrait-sdf)",
         metavar="FIELD",
     )
     preview: Path | None = option(
