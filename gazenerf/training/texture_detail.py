@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 import torch
+from scipy import ndimage
 
 from gazenerf.checkpoints import field_from_weights
 from gazenerf.data.surface_points import template_of
@@ -29,6 +30,9 @@ FADING, BESIDE_EYES = 12.0, 1.0
 
 FAR = 4.0
 """World units from which rays are cast: outside the head."""
+
+GAP = 0.02
+"""World units by which what is seen through a gap, the inside of the mouth, lies behind what is around it."""
 
 
 @dataclass(frozen=True)
@@ -91,9 +95,10 @@ class TemplateSkin:
         first = ray_scene(template.vertices, skin, eyes).cast_rays(tensor(rays))["geometry_ids"].numpy()
         found = ray_scene(template.vertices, skin).cast_rays(tensor(rays))
         met, weights = found["primitive_ids"].numpy().astype(np.int64), found["primitive_uvs"].numpy()
-        hit = np.isfinite(found["t_hit"].numpy())
-        self._corners = skin[np.where(hit, met, 0)]
-        self._weights = np.column_stack([1.0 - weights.sum(1), weights]) * hit[:, None]
+        away = found["t_hit"].numpy()
+        seen, hit = _not_in_a_gap(away.reshape(size)), np.isfinite(away)
+        self._corners = skin[np.where(hit, met, 0)][seen]
+        self._weights = (np.column_stack([1.0 - weights.sum(1), weights]) * hit[:, None])[seen]
         self._eyes = (first == 1).reshape(size)
 
     def _angles(self) -> tuple[np.ndarray, np.ndarray]:
@@ -116,6 +121,14 @@ class TemplateSkin:
         away = cv2.distanceTransform((~self._eyes).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
         degrees = away * 2.0 * EXTENT[0] / self.size[1]
         return np.outer(rows, columns) * np.clip(degrees / eyes - 0.5, 0.0, 1.0)
+
+
+def _not_in_a_gap(away: np.ndarray) -> np.ndarray:
+    """(H * W,) for each direction the nearest that does not look between lips, where a ray of length (H, W) ends."""
+    away = np.nan_to_num(away, posinf=FAR).astype(np.float32)
+    behind = away - cv2.medianBlur(away, 5) > GAP
+    nearest = ndimage.distance_transform_edt(behind, return_distances=False, return_indices=True)
+    return np.ravel_multi_index(tuple(np.asarray(nearest)), away.shape).ravel()
 
 
 def without_detail(field: TwoStreamField) -> TwoStreamField:

@@ -84,22 +84,23 @@ def skin_of(albedo: np.ndarray, texture: np.ndarray) -> np.ndarray:
 
 
 def test_the_skin_is_that_of_the_head_model() -> None:
-    model, cells = load_head_model(), (9, 12)
+    model, cells = load_head_model(), (45, 60)
     skin = TemplateSkin(model, cells)
     texture = sample_person(np.random.default_rng(4), model).texture
     codes = [np.zeros(size, np.float32) for size in model.code_sizes]
     codes[2] = texture.astype(np.float32)
     mesh = model.mesh(Codes(*codes), Gaze())
     found = skin_of(skin.albedo(), texture)
-    azimuth = np.radians((np.arange(12) + 0.5) * 15.0 - 90.0)
-    outward = np.stack([np.sin(azimuth), np.zeros(12), np.cos(azimuth)], axis=1)
+    azimuth = np.radians((np.arange(60) + 0.5) * 3.0 - 90.0)
+    outward = np.stack([np.sin(azimuth), np.zeros(60), np.cos(azimuth)], axis=1)
     straight_ahead = np.concatenate([4.0 * outward, -outward], axis=1)
     cast = ray_scene(mesh.vertices, mesh.part_faces(FACE)).cast_rays(tensor(straight_ahead))
     corners = mesh.part_faces(FACE)[cast["primitive_ids"].numpy().astype(np.int64)]
     weights = cast["primitive_uvs"].numpy()
     weights = np.column_stack([1.0 - weights.sum(1), weights])
     wanted = (mesh.albedo[corners] * weights[..., None]).sum(1)
-    np.testing.assert_allclose(found[:, cells[0] // 2].T, wanted, atol=0.02)
+    missed = np.abs(found[:, cells[0] // 2].T - wanted).max(axis=1)
+    assert np.median(missed) < 1e-5 and (missed < 0.01).mean() > 0.8  # ears have gaps, which are passed over
 
 
 def test_the_template_is_met_from_outside_and_its_eyes_are_left_out() -> None:
@@ -110,6 +111,14 @@ def test_the_template_is_met_from_outside_and_its_eyes_are_left_out() -> None:
     left, right = openings[:, 1] < columns // 4, openings[:, 1] >= columns // 4
     assert left.sum() > 2 and right.sum() > 2
     assert logarithm(skin.albedo()[:, 0].clip(0.0)).std() > 0.05
+
+
+def test_the_inside_of_the_mouth_is_not_painted_on_lips() -> None:
+    """Through the slit between closed lips single rays meet what is dark behind them."""
+    cells = DetailOptions().size
+    albedo = TemplateSkin(load_head_model(), cells).albedo()[:, 0].mean(0)
+    lips = albedo[2 * cells[0] // 10 : 4 * cells[0] // 10, 9 * cells[1] // 20 : 11 * cells[1] // 20]
+    assert lips.min() > 0.5 * np.median(lips)
 
 
 def test_bands_keep_what_is_fine_and_leave_out_what_is_broad() -> None:
