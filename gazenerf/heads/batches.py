@@ -199,9 +199,9 @@ def draw_rays(head: Head, seen_by: PictureRays, cameras: Sequence[Camera], cutou
             return None
         found = seen_by.add_behind(front, rays)
         seen = grid.smooth_outline(seen_by.composited, background, found, cut=True)
-        uncut = with_detail(head, head.all_uncut(seen, grid.shape), grid, seen)
-        pictures = head.cut(uncut, seen, grid.shape)
-        alone = cut_outs_of(seen, uncut, head.picture_behind(*grid.shape), grid.shape) if cutouts else None
+        uncut = with_detail(head, head.painter.all_uncut(seen, grid.shape), grid, seen)
+        pictures = head.painter.cut(uncut, seen, grid.shape)
+        alone = cut_outs_of(seen, uncut, head.painter.picture_behind(*grid.shape), grid.shape) if cutouts else None
     images = [to_picture(picture, camera) for picture, camera in zip(pictures, cameras, strict=True)]
     found = [None] * len(cameras) if alone is None else [to_picture(*pair) for pair in zip(alone, cameras, strict=True)]
     return [Drawn(*one) for one in zip(images, grid.geometry(seen), found, strict=True)]

@@ -22,13 +22,12 @@ from gazenerf.geometry import Gaze
 from gazenerf.geometry.paths import BeyondTraining, GazeRange
 from gazenerf.heads.batches import FrameBatches, draw_guided
 from gazenerf.heads.bound import BoundHead
-from gazenerf.heads.feature_map import BEYOND, RayFeatures, cut_out, grown
 from gazenerf.heads.interface import Part
 from gazenerf.heads.lattice import Band
 from gazenerf.heads.occupancy import MOVED, Occupancy
+from gazenerf.heads.painter import Painter
 from gazenerf.heads.personal import personal_field
 from gazenerf.heads.skin_bands import skin_detail
-from gazenerf.heads.upsampler import Upsampler, make_upsampler, upsample_window
 from gazenerf.subjects import Subject
 from gazenerf.workers import pool, workers_for
 
@@ -53,9 +52,9 @@ EVERYWHERE = 0.9
 class Head:
     """What a field says of one person, at every gaze; see `gazenerf.heads.interface.HeadField`.
 
-    It owns what all gazes share: where the density can be, the colour of the background and the
-    prepared up-sampler. These are found when first needed, once, also when several threads ask; what
-    depends on weights is found again after the weights have changed.
+    It owns what all gazes share: where the density can be, and the painter of its pictures. These are found when
+    first needed, once, also when several threads ask; what depends on weights is found again after the weights have
+    changed.
 
     Args:
         field: The field.
@@ -68,6 +67,7 @@ class Head:
 
     Attributes:
         frames: Draws several views in one pass.
+        painter: Makes pictures of feature maps.
 
     Raises:
         UserError: code sizes differ, personal weights do not fit, or PyTorch sees no such device.
@@ -103,15 +103,13 @@ class Head:
         else:
             side = SLAB_HALF_WIDTH
             self.box = np.array([[-side, -side, config.z_far], [side, side, config.z_near]])
-        self._backend = upsampler or ("folded" if self.dtype == torch.float32 else "reference")
+        backend = upsampler or ("folded" if self.dtype == torch.float32 else "reference")
+        self.painter = Painter(field, backend, self.quickly)
         self._lock = threading.RLock()
         self._found_for: int | None = None
         self._grids: dict[str, Occupancy] | None = None
-        self._upsample: Upsampler | None = None
-        self._background: np.ndarray | None = None
         self._straight: dict[str, StreamCondition] | None = None
         self._texture_detail: SurfaceDetail | None = None
-        self._behind: dict[tuple[int, int], torch.Tensor] = {}
         self._told_dense = self._told_memory = False
         self.frames = FrameBatches(self, draw_guided)
 
@@ -155,7 +153,7 @@ class Head:
         """The same head sampled in another way; itself where it already is."""
         if sampler == self.sampler:
             return self
-        return Head(self.field, self.subject, sampler=sampler, precision=self.precision, upsampler=self._backend)
+        return Head(self.field, self.subject, sampler=sampler, precision=self.precision, upsampler=self.painter.backend)
 
     # What gazes share
 
@@ -260,78 +258,13 @@ class Head:
         """Forget what was found for other weights; the lock is held."""
         version = self.field.version
         if version != self._found_for:
-            self._grids = self._upsample = self._background = self._straight = None
-            self._texture_detail = None
-            self._behind = {}
+            self._grids = self._straight = self._texture_detail = None
             self._found_for = version
-
-    @property
-    def upsample(self) -> Upsampler:
-        """The neural renderer, prepared for the present weights."""
-        with self._lock:
-            self._refresh()
-            if self._upsample is None:
-                self._upsample = make_upsampler(self.field.renderer, self._backend)
-            return self._upsample
-
-    def picture(self, seen: RayFeatures, shape: tuple[int, int], turned: bool = False) -> torch.Tensor:
-        """The picture (3, h * k, w * k) of a feature map.
-
-        Args:
-            seen: Along the rays of h * w feature pixels.
-            shape: (h, w).
-            turned: The background was turned with the eyes; elsewhere it is the field's own where nothing is seen,
-                and nothing is up-sampled far from where something is.
-        """
-        uncut = self.uncut(seen, shape, turned)
-        return uncut if turned else self.cut(uncut, seen, shape)
-
-    def pictures(self, seen: RayFeatures, shape: tuple[int, int]) -> torch.Tensor:
-        """(B, 3, h * k, w * k) pictures of B feature maps (h, w), all up-sampled at once."""
-        return self.cut(self.all_uncut(seen, shape), seen, shape)
-
-    def uncut(self, seen: RayFeatures, shape: tuple[int, int], turned: bool = False) -> torch.Tensor:
-        """`picture` before it is cut out by the matte, where there is one: the head goes on a little beyond it."""
-        features = seen.features.T.reshape(1, -1, *shape)
-        if turned or self.device.type != "cpu":  # a GPU waits longer for the window than it saves
-            return self.upsample(features)[0]
-        place = (seen.opacity > 0.0).reshape(shape)
-        if seen.matte is not None:
-            place = grown(place, BEYOND)
-        return upsample_window(self.upsample, features, place, lambda: self.picture_behind(*shape))
-
-    def all_uncut(self, seen: RayFeatures, shape: tuple[int, int]) -> torch.Tensor:
-        """`pictures` before they are cut out."""
-        count = len(seen.features) // (shape[0] * shape[1])
-        if count == 1:
-            return self.uncut(seen, shape)[None]
-        return self.upsample(seen.features.reshape(count, *shape, -1).permute(0, 3, 1, 2).contiguous())
-
-    def cut(self, uncut: torch.Tensor, seen: RayFeatures, shape: tuple[int, int]) -> torch.Tensor:
-        """What `uncut` or `all_uncut` gave, cut out by the matte over the background, where there is a matte."""
-        return uncut if seen.matte is None else cut_out(uncut, self.picture_behind(*shape), seen.matte)
-
-    def picture_behind(self, rows: int, columns: int) -> torch.Tensor:
-        """(3, rows * k, columns * k) picture of the background alone; the last few sizes are kept."""
-        upsample = self.upsample
-        with self._lock:
-            found = self._behind.get((rows, columns))
-            if found is None:
-                found = upsample(self.field.renderer.background(rows, columns).float())[0]
-                self._behind = dict([*self._behind.items(), ((rows, columns), found)][-4:])
-            return found
 
     @property
     def background(self) -> np.ndarray:
         """(3,) sRGB mean colour of the picture of the background alone."""
-        with self._lock:
-            self._refresh()
-            found = self._background
-            if found is None:
-                size = self.field.config.feature_size
-                with self.quickly():
-                    self._background = found = self.picture_behind(size, size).mean((1, 2)).cpu().numpy()
-            return found
+        return self.painter.background
 
     @property
     def grids(self) -> dict[str, Occupancy]:

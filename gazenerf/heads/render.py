@@ -54,10 +54,10 @@ def render_parts(bound: BoundHead, camera: Camera, parts: tuple[Part, ...], cuto
         for part in parts:
             seen = _part_features(bound, grid, background, part, cache)
             turned = part != "face" and (len(bound.streams_of(part)) == 1 or config.merge == "max")
-            uncut = bound.head.uncut(seen, grid.shape, turned)
+            uncut = bound.head.painter.uncut(seen, grid.shape, turned)
             if part != "eyes":
                 uncut = with_detail(bound.head, uncut, grid, seen)
-            picture = uncut if turned else bound.head.cut(uncut, seen, grid.shape)
+            picture = uncut if turned else bound.head.painter.cut(uncut, seen, grid.shape)
             if cutouts:
                 alone[part] = to_picture(_cut_out(bound, grid, seen, background, part, uncut), camera)
             if part == "eyes" and config.eyes_box is not None:
@@ -79,10 +79,10 @@ def _cut_out(
         behind = torch.maximum(background, bound.turn(background))
     if seen.matte is None and seen.outline is not None:  # mixed with what is behind it in the picture, not in a cutout
         seen = grid.with_matte(seen, behind)
-        uncut = head.uncut(seen, grid.shape, turned=True)
+        uncut = head.painter.uncut(seen, grid.shape, turned=True)
         if part != "eyes":
             uncut = with_detail(head, uncut, grid, seen)
-    picture_behind = head.upsample(behind.T.reshape(1, -1, *grid.shape))[0] if seen.matte is None else uncut
+    picture_behind = head.painter.upsample(behind.T.reshape(1, -1, *grid.shape))[0] if seen.matte is None else uncut
     return cut_outs_of(seen, uncut, picture_behind, grid.shape)[0]
 
 

@@ -36,7 +36,9 @@ def test_a_cutout_before_the_fields_own_background_is_the_picture(baked: bool) -
     camera = Camera.orbit(yaw=0.4, size=64)
     view = bound.render_cut_out(camera, ("head", "face"))
     plain = bound.render(camera, ("head", "face"))
-    behind = head.picture_behind(*bound.render(camera).geometry["head"].opacity.shape).permute(1, 2, 0).cpu().numpy()
+    behind = (
+        head.painter.picture_behind(*bound.render(camera).geometry["head"].opacity.shape).permute(1, 2, 0).cpu().numpy()
+    )
     for part in ("head", "face"):
         np.testing.assert_array_equal(view.images[part], plain.images[part])
         cutout = view.cutouts[part]

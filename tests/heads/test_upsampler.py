@@ -38,11 +38,11 @@ def test_a_fold_of_other_weights_is_not_the_same() -> None:
 def test_a_heads_upsampler_follows_the_weights() -> None:
     field = make_field(tiny_config())
     head = Head(field, make_subject(field.config))
-    first = head.upsample
-    assert head.upsample is first
+    first = head.painter.upsample
+    assert head.painter.upsample is first
     field.renderer.narrow[0].weight.add_(0.05)  # type: ignore[union-attr, operator]
     features = torch.randn(1, field.config.feature_channels, 16, 16)
-    assert (head.upsample(features) - field.renderer(features)).abs().max() < 2e-6
+    assert (head.painter.upsample(features) - field.renderer(features)).abs().max() < 2e-6
 
 
 def test_unknown_backends_are_one_line() -> None:
