@@ -21,7 +21,7 @@ import numpy as np
 
 from benchmarks.fit import people, pretended_detection
 from benchmarks.measure import machine, write_json
-from gazenerf.checkpoints import load_field
+from gazenerf.checkpoints import BUNDLED, load_field
 from gazenerf.evaluation.quality import IRIS_GAZES, Instruments, iris_rows
 from gazenerf.field.model import TwoStreamField
 from gazenerf.geometry import Gaze
@@ -82,7 +82,7 @@ def main() -> None:
     parser.add_argument("--landmarks", choices=("projected", "detected"), default="detected")
     parser.add_argument("--photographs", type=Path, nargs="*", default=[])
     parser.add_argument("--photo-python", type=Path, help="interpreter that has MediaPipe")
-    parser.add_argument("--checkpoint", default="portrait")
+    parser.add_argument("--checkpoint", default=BUNDLED.stem)
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS[:1])
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--out", type=Path, help="JSON")
