@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gazenerf.training.run import TrainOptions, train_field
 
-HELP = "train a two-stream field on captures"
+HELP = "train a field on captures"
 
 Options = TrainOptions
 
@@ -17,7 +17,9 @@ def run(options: TrainOptions) -> int:
     from gazenerf.cli.report import current
     from gazenerf.devices import choose_device
 
-    current().choose(preset=options.preset, device=choose_device(options.device), precision=options.precision)
+    current().choose(
+        model=options.model, preset=options.preset, device=choose_device(options.device), precision=options.precision
+    )
     with showing_progress(show=os.environ.get("LOCAL_RANK", "0") == "0") as progress:
         written = train_field(options, progress, warn)
     if written is not None:

@@ -19,6 +19,7 @@ from gazenerf.progress import Progress, silent
 from gazenerf.training.config import PRESETS, TrainConfig
 from gazenerf.training.gaze_estimator import load_gaze_estimator
 from gazenerf.training.loop import FIELD, TrainingStep, train
+from gazenerf.training.models import LADDER, MODELS, as_model, check_losses, with_losses
 from gazenerf.training.perceptual import load_perceptual
 from gazenerf.training.runtime import COMPILE, Runtime
 from gazenerf.training.split import eyeballs_of, linear_eye_centres, split_captures
@@ -31,6 +32,8 @@ class TrainOptions:
     Attributes:
         data: Folder of captures.
         out: Folder of the run.
+        model: A name of `gazenerf.training.models.MODELS`: what the preset's field and losses are changed to.
+        losses: A step of `gazenerf.training.models.LADDER`; the preset's and the model's own losses when None.
         preset: A name of `gazenerf.training.config.PRESETS`.
         resume: Continue the run in `out`.
         initial: Start from this checkpoint.
@@ -46,6 +49,8 @@ class TrainOptions:
 
     data: Path = option(help="captures from `gazenerf synthesize` or `prepare`", metavar="DIR")
     out: Path = option(help="where the run is written", metavar="DIR")
+    model: str = option("gazenerf", "a row of the paper's tables (default: gazenerf)", choices=tuple(MODELS))
+    losses: str | None = option(None, "a step of the paper's loss ladder", choices=tuple(LADDER))
     preset: str = option("small", "small (default), portrait, paper or tiny", metavar="NAME")
     resume: bool = option(False, "continue the run in --out")
     initial: Path | None = option(None, "start from this checkpoint", flag="--from", metavar="FILE")
@@ -70,7 +75,8 @@ def train_field(
     Args:
         options: See `TrainOptions`.
         progress: Told about steps, with the loss.
-        say: Told, in a line each, what a GPU could not do and what is done instead.
+        say: Told, in a line each, what a GPU could not do and what is done instead, and what of the field it starts
+            from cannot be used.
 
     Returns:
         The field's file; None in a process of a parallel run that writes nothing.
@@ -103,7 +109,7 @@ def train_field(
         config,
         options.out,
         held_out=watched,
-        eyeballs=eyeballs_of(learned) if config.eyeball else None,
+        eyeballs=eyeballs_of(learned) if config.eyeball and field_config.streams == "two" else None,
         eye_centres=linear_eye_centres(field_config.identity) if field_config.eye_motion == "rigid" else None,
         features=features,
         estimate_gaze=estimate_gaze,
@@ -112,7 +118,7 @@ def train_field(
         initial=None if options.initial is None else load_field(options.initial),
         minutes=options.minutes,
         stop_after=options.stop_after,
-        about={"preset": options.preset, "data": captures.manifest},
+        about={"model": options.model, "preset": options.preset, "data": captures.manifest},
         on_step=on_step,
         progress=progress,
         say=say,
@@ -136,8 +142,9 @@ def _field_config(config: TrainConfig, capture: Capture) -> FieldConfig:
         "image_size": size,
     }
     try:
-        return replace(FIELD_PRESETS[config.field_preset], **{**sizes, **config.field_overrides})
-    except (ValueError, TypeError) as error:
+        preset = FIELD_PRESETS[config.field_preset].to_dict()
+        return FieldConfig.from_dict({**preset, **sizes, **config.field_overrides})
+    except (ValueError, TypeError, KeyError) as error:
         raise UserError(
             f"captures of {size} px do not fit the field {config.field_preset!r}: {error}; "
             "synthesize at another --size, or --set field_overrides"
@@ -145,19 +152,29 @@ def _field_config(config: TrainConfig, capture: Capture) -> FieldConfig:
 
 
 def chosen_config(options: TrainOptions) -> TrainConfig:
-    """The preset with its changed settings.
+    """The preset with the model's changes, those of the losses, and the settings that were typed; later ones win.
 
     Raises:
-        UserError: unknown preset or setting.
+        UserError: unknown preset, model, losses or setting, or losses that such a run could not have.
     """
     if options.preset not in PRESETS:
         meant = did_you_mean(options.preset, PRESETS)
         raise UserError(f"unknown preset {options.preset!r}{meant}; there are {', '.join(PRESETS)}")
-    settings = PRESETS[options.preset].to_dict() | dict(_setting(text) for text in options.settings)
+    chosen = as_model(PRESETS[options.preset], options.model)
+    if options.losses is not None:
+        chosen = with_losses(chosen, options.losses)
+    typed = dict(_setting(text) for text in options.settings)
+    overrides = typed.pop("field_overrides", {})
+    if not isinstance(overrides, dict):
+        raise UserError('--set field_overrides: give an object, such as {"hidden": 96}')
+    chosen = replace(chosen, field_overrides={**chosen.field_overrides, **overrides})
     try:
-        return TrainConfig.from_dict(settings)
+        config = TrainConfig.from_dict(chosen.to_dict() | typed)
     except (ValueError, TypeError) as error:
         raise UserError(f"--set: {error}") from error
+    if options.losses is not None:
+        check_losses(config)
+    return config
 
 
 def _setting(text: str) -> tuple[str, object]:
