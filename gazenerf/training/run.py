@@ -20,6 +20,7 @@ from gazenerf.training.config import PRESETS, TrainConfig
 from gazenerf.training.gaze_estimator import load_gaze_estimator
 from gazenerf.training.loop import FIELD, TrainingStep, train
 from gazenerf.training.models import LADDER, MODELS, as_model, check_losses, with_losses
+from gazenerf.training.one_stream_start import left_out, with_conventions
 from gazenerf.training.perceptual import load_perceptual
 from gazenerf.training.runtime import COMPILE, Runtime
 from gazenerf.training.split import eyeballs_of, linear_eye_centres, split_captures
@@ -90,6 +91,11 @@ def train_field(
     if not learned:
         raise UserError("nothing is left to train on; lower --held-out or --held-out-views")
     field_config = _field_config(config, learned[0])
+    initial = None if options.initial is None else load_field(options.initial)
+    if initial is not None:
+        field_config = with_conventions(field_config, initial.config, frozenset(config.field_overrides))
+        if missed := left_out(initial.config, field_config):
+            say(f"--from {options.initial}: {'; '.join(missed)}")
     features = estimate_gaze = None
     if config.perceptual:
         try:
@@ -115,7 +121,7 @@ def train_field(
         estimate_gaze=estimate_gaze,
         runtime=runtime,
         resume=options.resume,
-        initial=None if options.initial is None else load_field(options.initial),
+        initial=initial,
         minutes=options.minutes,
         stop_after=options.stop_after,
         about={"model": options.model, "preset": options.preset, "data": captures.manifest},
