@@ -45,6 +45,9 @@ MODELS: dict[str, Model] = {
 }
 """Name to model. `gazenerf` is the preset as it is: the paper's losses with `paper`, no functional loss with others."""
 
+STED = "sted"
+"""The name of the paper's other baseline, which is no field; see `gazenerf.baselines.sted`."""
+
 LADDER: dict[str, tuple[str, ...]] = {
     "R": (),
     "R+P": ("perceptual",),

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from gazenerf.checkpoints import load_field
 from gazenerf.data import CaptureSet
@@ -19,7 +20,7 @@ from gazenerf.progress import Progress, silent
 from gazenerf.training.config import PRESETS, TrainConfig
 from gazenerf.training.gaze_estimator import load_gaze_estimator
 from gazenerf.training.loop import FIELD, TrainingStep, train
-from gazenerf.training.models import LADDER, MODELS, as_model, check_losses, with_losses
+from gazenerf.training.models import LADDER, MODELS, STED, as_model, check_losses, with_losses
 from gazenerf.training.one_stream_start import left_out, with_conventions
 from gazenerf.training.perceptual import load_perceptual
 from gazenerf.training.runtime import COMPILE, Runtime
@@ -33,7 +34,8 @@ class TrainOptions:
     Attributes:
         data: Folder of captures.
         out: Folder of the run.
-        model: A name of `gazenerf.training.models.MODELS`: what the preset's field and losses are changed to.
+        model: A name of `gazenerf.training.models.MODELS`: what the preset's field and losses are changed to; or
+            `sted`, which is no field, for `gazenerf.baselines.sted.run`.
         losses: A step of `gazenerf.training.models.LADDER`; the preset's and the model's own losses when None.
         preset: A name of `gazenerf.training.config.PRESETS`.
         resume: Continue the run in `out`.
@@ -50,7 +52,7 @@ class TrainOptions:
 
     data: Path = option(help="captures from `gazenerf synthesize` or `prepare`", metavar="DIR")
     out: Path = option(help="where the run is written", metavar="DIR")
-    model: str = option("gazenerf", "a row of the paper's tables (default: gazenerf)", choices=tuple(MODELS))
+    model: str = option("gazenerf", "a row of the paper's tables (default: gazenerf)", choices=(*MODELS, STED))
     losses: str | None = option(None, "a step of the paper's loss ladder", choices=tuple(LADDER))
     preset: str = option("small", "small (default), portrait, paper or tiny", metavar="NAME")
     resume: bool = option(False, "continue the run in --out")
@@ -169,7 +171,7 @@ def chosen_config(options: TrainOptions) -> TrainConfig:
     chosen = as_model(PRESETS[options.preset], options.model)
     if options.losses is not None:
         chosen = with_losses(chosen, options.losses)
-    typed = dict(_setting(text) for text in options.settings)
+    typed = typed_settings(options.settings)
     overrides = typed.pop("field_overrides", {})
     if not isinstance(overrides, dict):
         raise UserError('--set field_overrides: give an object, such as {"hidden": 96}')
@@ -181,6 +183,15 @@ def chosen_config(options: TrainOptions) -> TrainConfig:
     if options.losses is not None:
         check_losses(config)
     return config
+
+
+def typed_settings(settings: Sequence[str]) -> dict[str, Any]:
+    """`KEY=VALUE` texts by key, values as JSON where they are that.
+
+    Raises:
+        UserError: a text is something else.
+    """
+    return dict(_setting(text) for text in settings)
 
 
 def _setting(text: str) -> tuple[str, object]:
