@@ -38,10 +38,8 @@ def curve(folder: Path) -> list[dict[str, float]]:
 
 def test_the_command_trains_and_its_network_redirects(toy_folder: Path, toy_captures, tmp_path: Path, capsys) -> None:
     words = ["--data", str(toy_folder), "--out", str(tmp_path / "run"), "--model", "sted", "--preset", "tiny"]
-    assert (
-        main(["train", *words, "--device", "cpu", "--held-out", "0", "--held-out-views", "0.25", "--set", "steps=4"])
-        == 0
-    )
+    rest = ["--device", "cpu", "--held-out", "0", "--held-out-views", "0.25", "--set", "steps=4"]
+    assert main(["train", *words, *rest]) == 0
     assert "sted.safetensors" in capsys.readouterr().out
     model = load_sted(tmp_path / "run" / "sted.safetensors")
     assert model.about["model"] == "sted" and model.about["steps"] == 4
