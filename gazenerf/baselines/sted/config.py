@@ -74,7 +74,7 @@ class StedTrainConfig:
     Attributes:
         network: Fields of `StedConfig` that differ from its defaults.
         steps, batch: Optimiser steps, and pairs of pictures a step.
-        learning_rate: Of Adam at first; decay: its factor after every `decay_steps`.
+        learning_rate: Of Adam at first, published as 5e-5 times `batch`; decay: its factor after every `decay_steps`.
         weight_decay: Of Adam.
         l1: Absolute difference between the redirected picture and the target.
         labels: Angle between the encoder's gaze and head and the labels, of both pictures.
@@ -121,6 +121,7 @@ PRESETS: dict[str, StedTrainConfig] = {
         network={"growth": 12, "appearance": 256},
         steps=3000,
         batch=6,
+        learning_rate=3e-4,
         decay_steps=1000,
         adversarial_warmup=1500,
         features=0.0,
