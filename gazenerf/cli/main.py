@@ -33,7 +33,7 @@ COMMANDS = {
     "redirect": "change where the person in a photograph looks, for one picture, a folder of them or a video",
     "synthesize": "render captures of synthetic people to train on",
     "prepare": "make captures of a published gaze data set to train on",
-    "train": "train a two-stream field on captures",
+    "train": "train a field on captures",
     "evaluate": "measure a field on views, gazes and people it has not seen",
     "import-checkpoint": "convert a published checkpoint without executing it",
     "subjects": "list the bundled subjects",

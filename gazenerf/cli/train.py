@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gazenerf.training.run import TrainOptions, train_field
 
-HELP = "train a two-stream field on captures"
+HELP = "train a field on captures"
 
 Options = TrainOptions
 
@@ -16,10 +16,18 @@ def run(options: TrainOptions) -> int:
     from gazenerf.cli.common import showing_progress, warn
     from gazenerf.cli.report import current
     from gazenerf.devices import choose_device
+    from gazenerf.training.models import STED
 
-    current().choose(preset=options.preset, device=choose_device(options.device), precision=options.precision)
+    current().choose(
+        model=options.model, preset=options.preset, device=choose_device(options.device), precision=options.precision
+    )
     with showing_progress(show=os.environ.get("LOCAL_RANK", "0") == "0") as progress:
-        written = train_field(options, progress, warn)
+        if options.model == STED:
+            from gazenerf.baselines.sted.run import train_sted_on
+
+            written = train_sted_on(options, progress)
+        else:
+            written = train_field(options, progress, warn)
     if written is not None:
         current().add([written])
         print(f"wrote {written}")

@@ -260,11 +260,15 @@ PRESETS: dict[str, FieldConfig] = {
 }
 
 
+ABLATIONS: dict[str, dict[str, str]] = {
+    "vanilla": {"streams": "one", "eye_motion": "none"},
+    "vanilla+rotation": {"streams": "one", "eye_motion": "feature_rotation"},
+    "two-stream": {"streams": "two", "eye_motion": "none"},
+    "two-stream+rotation": {"streams": "two", "eye_motion": "feature_rotation"},
+}
+"""Name to what makes the four fields of the paper's ablation (Sec. 4.5); losses are `gazenerf.training.models`'."""
+
+
 def ablations(base: FieldConfig) -> dict[str, FieldConfig]:
     """The four fields of the paper's ablation (Sec. 4.5), as configurations of one base."""
-    return {
-        "vanilla": dataclasses.replace(base, streams="one", eye_motion="none"),
-        "vanilla+rotation": dataclasses.replace(base, streams="one", eye_motion="feature_rotation"),
-        "two-stream": dataclasses.replace(base, streams="two", eye_motion="none"),
-        "two-stream+rotation": dataclasses.replace(base, streams="two", eye_motion="feature_rotation"),
-    }
+    return {name: dataclasses.replace(base, **changes) for name, changes in ABLATIONS.items()}

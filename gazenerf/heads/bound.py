@@ -73,7 +73,7 @@ class BoundHead:
         if part == "head":
             return tuple(self.field.streams)
         if part not in self.field.streams:
-            raise UserError(f"this field has one stream; its only part is head, not {part}")
+            raise UserError(f"this field has one stream for face and eyes: it has no {part} alone; ask for head")
         return (part,)
 
     # Densities

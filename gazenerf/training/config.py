@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from gazenerf.names import did_you_mean
+from gazenerf.training.losses import PIXEL_ERRORS
 from gazenerf.training.optimizers import OPTIMIZERS
 
 
@@ -31,15 +32,17 @@ class TrainConfig:
         shell_noise: Standard deviation of the shell's centre, world units, so that a field learns
             to be queried around a surface it found itself.
         reconstruction, perceptual, functional, disentanglement: The paper's lambdas (Sec. 4.2).
+        pixel_error: What differences between pictures cost: `l1` as in the paper's Eq. 5, or `l2`, their squares, as in
+            HeadNeRF (Sec. 4.4).
         functional_content: Initial weight of the gaze term and its growth an epoch.
         code_weights: w of identity, expression, texture, illumination in the disentanglement loss.
         learn_codes: Learn per-picture offsets to the four codes.
         learn_cameras: Learn per-picture Euler angles and translations of the camera.
         depth, surface, opacity, empty, eyeball: Geometry terms for captures that know depth and eyeballs.
-        background_weight: L1 outside the head mask (the paper has none).
+        background_weight: The same error outside the head mask (the paper has none).
         level_background: Save the background as what it is along its upper edge, for captures before one colour: where
             heads always hide it, it is never learned.
-        eyes_weight: L1 inside the eye mask of the merged picture (the paper has none).
+        eyes_weight: The same error inside the eye mask of the merged picture (the paper has none).
         geometry_decay: Geometry weights end at this share of their start.
         geometry_steps: Steps in which a field of geometry `distance` learns its surfaces from points of the head
             model's people, before the first picture; then they are held.
@@ -68,6 +71,7 @@ class TrainConfig:
     shell_samples: int = 6
     shell_noise: float = 0.02
     reconstruction: float = 1.0
+    pixel_error: str = "l1"
     perceptual: float = 0.03
     functional: float = 0.0
     disentanglement: float = 0.0
@@ -112,6 +116,8 @@ class TrainConfig:
         values = dict(data)
         if values.get("optimizer", "adam") not in OPTIMIZERS:
             raise ValueError(f"optimizer must be one of {', '.join(OPTIMIZERS)}")
+        if values.get("pixel_error", "l1") not in PIXEL_ERRORS:
+            raise ValueError(f"pixel_error must be one of {', '.join(PIXEL_ERRORS)}")
         if not 1 <= int(values.get("perceptual_stages", 5)) <= 5:
             raise ValueError("perceptual_stages goes from 1 to 5")
         if "code_weights" in values:

@@ -10,7 +10,7 @@ from gazenerf.field.compositing import Composited, StreamSamples, composite_stre
 from gazenerf.field.model import TwoStreamField
 from gazenerf.field.sampling import RaySamples, shell_samples, slab_samples
 from gazenerf.training.batches import Batch, eye_crop
-from gazenerf.training.geometry_terms import TwoStreamRays, geometry_terms, pick
+from gazenerf.training.geometry_terms import OneStreamRays, TwoStreamRays, geometry_terms, one_stream_terms, pick
 from gazenerf.training.operations import REFERENCE, Operations
 from gazenerf.training.surface_samples import surface_samples
 
@@ -76,7 +76,9 @@ def render_batch(
     face_alone = composite_stream(face, deltas)
     face_map = maps.whole(face_alone, batch.rays)
     if first == "head":
-        return TrainingRender(maps.picture(maps.turn(face_map)), None, window, None)
+        known = OneStreamRays(t, face.density, face_alone, conditions["head"])
+        terms = one_stream_terms(model, batch, known) if geometry else {}
+        return TrainingRender(maps.picture(maps.turn(face_map)), None, window, None, terms)
 
     eyes = model.samples("eyes", pick(points, batch.eye_rays), conditions["eyes"])
     eye_deltas, eye_pixels = pick(deltas, batch.eye_rays), batch.rays.gather(1, batch.eye_rays)

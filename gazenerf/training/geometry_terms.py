@@ -1,4 +1,4 @@
-"""What a batch's rays say about geometry: differentiable terms for the density of both streams."""
+"""What a batch's rays say about geometry: differentiable terms for the density of both streams, or of the only one."""
 
 from __future__ import annotations
 
@@ -52,6 +52,23 @@ class TwoStreamRays:
     eyes_condition: StreamCondition
 
 
+@dataclass(frozen=True)
+class OneStreamRays:
+    """The only stream of a field along the rays of a batch, B images of R rays.
+
+    Attributes:
+        t: (B, R, S) distances of the samples, world units.
+        density: (B, R, S).
+        head: The stream along all rays.
+        condition: Of the stream.
+    """
+
+    t: torch.Tensor
+    density: torch.Tensor
+    head: Composited
+    condition: StreamCondition
+
+
 def mean_over(values: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
     """Mean of `values` where `mask`, 0 where the mask is empty."""
     weight = mask.to(values.dtype)
@@ -70,44 +87,64 @@ def geometry_terms(model: TwoStreamField, batch: Batch, rays: TwoStreamRays) -> 
     assert joint.weights_eyes is not None
     near_eye = torch.zeros_like(batch.valid).scatter(1, batch.eye_rays, batch.eye_valid)
     plain = batch.valid & ~near_eye
-    lost = 0.5 * FREE_REACH
     gap = rays.t - batch.distance[..., None]
-    miss = (face.weights * gap.abs()).sum(-1) + lost * (1.0 - face.opacity)
     eye_gap = pick(rays.t, batch.eye_rays) - pick(batch.distance, batch.eye_rays)[..., None]
-    miss_eyes = (joint.weights * eye_gap.abs()).sum(-1) + lost * (1.0 - joint.opacity)
     eye_surface = pick(batch.has_surface, batch.eye_rays) & batch.eye_valid
     surface = plain & batch.has_surface
-    front = (gap < -FRONT) & surface[..., None]
-    behind = (gap > BEHIND[0]) & (gap < BEHIND[1]) & surface[..., None]
-    solid = (SOLID - rays.density).clamp(min=0.0)
     eyes_opacity = joint.weights_eyes.sum(-1)
     face_opacity = (joint.weights - joint.weights_eyes).sum(-1)
     face_cover, eyes_cover = pick(batch.face_coverage, batch.eye_rays), pick(batch.eyes_coverage, batch.eye_rays)
     terms = {
-        "depth": mean_over(miss, surface) + 0.2 * mean_over(miss_eyes, eye_surface),
-        "surface": mean_over(rays.density, front) / SOLID + mean_over(solid, behind) / SOLID,
+        "depth": mean_over(_miss(face, gap), surface) + 0.2 * mean_over(_miss(joint, eye_gap), eye_surface),
+        "surface": _surface_term(rays.density, gap, surface),
         "opacity": mean_over((face.opacity - batch.face_coverage).abs(), plain)
         + 0.2 * mean_over((face_opacity - face_cover).abs() + (eyes_opacity - eyes_cover).abs(), batch.eye_valid),
-        "empty": _empty_term(model, batch, rays.face_condition, rays.eyes_condition),
+        "empty": _empty_term(model, batch, {"face": rays.face_condition, "eyes": rays.eyes_condition}),
     }
     if batch.eye_centres is not None:
         terms["eyeball"] = _eyeball_term(model, batch, rays.eyes_condition)
     return terms
 
 
-def _empty_term(
-    model: TwoStreamField, batch: Batch, face_condition: StreamCondition, eyes_condition: StreamCondition
-) -> torch.Tensor:
-    """Mean density of both streams where the captures saw nothing."""
+def one_stream_terms(model: TwoStreamField, batch: Batch, rays: OneStreamRays) -> dict[str, torch.Tensor]:
+    """Unweighted scalar losses `depth`, `surface`, `opacity` and `empty` of a field with one stream.
+
+    Face and eyes are one surface to it, so there is nothing to say of eyeballs behind lids.
+    """
+    gap = rays.t - batch.distance[..., None]
+    surface = batch.valid & batch.has_surface
+    covered = batch.face_coverage + batch.eyes_coverage
+    return {
+        "depth": mean_over(_miss(rays.head, gap), surface),
+        "surface": _surface_term(rays.density, gap, surface),
+        "opacity": mean_over((rays.head.opacity - covered).abs(), batch.valid),
+        "empty": _empty_term(model, batch, {"head": rays.condition}),
+    }
+
+
+def _miss(seen: Composited, gap: torch.Tensor) -> torch.Tensor:
+    """(B, .) how far from the captured surface light lands, for samples (B, ., S) that are `gap` behind it."""
+    return (seen.weights * gap.abs()).sum(-1) + 0.5 * FREE_REACH * (1.0 - seen.opacity)
+
+
+def _surface_term(density: torch.Tensor, gap: torch.Tensor, surface: torch.Tensor) -> torch.Tensor:
+    """Empty in front and solid behind, of densities (B, R, S) that are `gap` behind, on rays (B, R) with a surface."""
+    front = (gap < -FRONT) & surface[..., None]
+    behind = (gap > BEHIND[0]) & (gap < BEHIND[1]) & surface[..., None]
+    solid = (SOLID - density).clamp(min=0.0)
+    return mean_over(density, front) / SOLID + mean_over(solid, behind) / SOLID
+
+
+def _empty_term(model: TwoStreamField, batch: Batch, conditions: dict[str, StreamCondition]) -> torch.Tensor:
+    """Mean density of the streams where the captures saw nothing, summed."""
     origin = batch.rays_o[:, :1]
     middle = origin.norm(dim=-1)
     far = torch.minimum(batch.free_limit - FREE_MARGIN, middle + SCENE_RADIUS)
     near = middle - SCENE_RADIUS
     t = near + (far - near).clamp(min=0.0) * torch.rand_like(far)
     points = origin + t[..., None] * batch.free_d
-    face = model.stream("face").query(points, face_condition, features=False)[0]
-    eyes = model.stream("eyes").query(points, eyes_condition, features=False)[0]
-    return face.mean() + eyes.mean()
+    found = [model.stream(name).query(points, known, features=False)[0] for name, known in conditions.items()]
+    return torch.stack([density.mean() for density in found]).sum()
 
 
 def _eyeball_term(

@@ -10,6 +10,7 @@ from gazenerf.errors import UserError
 from gazenerf.field.config import FieldConfig
 from gazenerf.field.distance import octave_gains
 from gazenerf.field.model import TwoStreamField
+from gazenerf.training.one_stream_start import COPIED, from_one_stream
 from gazenerf.training.texture_detail import without_detail
 
 _FREE = {
@@ -45,7 +46,8 @@ def starting_field(config: FieldConfig, initial: TwoStreamField | None = None) -
 
     A field of geometry `distance` takes the features of one of geometry `density`, and fresh distances. Where the
     network that moves points to the template has more octaves than in `initial`, or others' amplitudes, it begins
-    as the same function. Detail of the skin by texture code is left out unless the configuration has it.
+    as the same function. Detail of the skin by texture code is left out unless the configuration has it. A field with
+    one stream serves any number of them (see `from_one_stream`).
 
     Raises:
         UserError: `initial` is another network, or one whose weights mean something else.
@@ -55,9 +57,12 @@ def starting_field(config: FieldConfig, initial: TwoStreamField | None = None) -
         return field
     if not any(config.detail):  # detail does not fit colours that are learned further
         initial = without_detail(initial)
+    free = set(_FREE)
+    if initial.config.streams == "one":
+        initial, free = from_one_stream(initial, config), free | COPIED
     ours, theirs = config.to_dict(), initial.config.to_dict()
     on_distances = config.geometry == "distance" and initial.config.geometry == "density"
-    free = _FREE | (_GEOMETRY if on_distances else set())
+    free = free | (_GEOMETRY if on_distances else set())
     finer = not on_distances and ours["template_frequencies"] >= theirs["template_frequencies"]
     free = free | set(_TEMPLATE) if finer else free
     differing = {name: theirs[name] for name in ours if name not in free and ours[name] != theirs[name]}
@@ -65,8 +70,8 @@ def starting_field(config: FieldConfig, initial: TwoStreamField | None = None) -
         there = ", ".join(f"{name} {json.dumps(value)} where it needs {json.dumps(ours[name])}"
                           for name, value in differing.items())  # fmt: skip
         raise UserError(
-            f"the checkpoint of --from does not fit the preset: it has {there}; choose the --preset it was trained "
-            "with, or captures of its size"
+            f"the checkpoint of --from does not fit the preset: it has {there}; choose the --preset and "
+            "--model it was trained with, or captures of its size"
         )
     weights = initial.state_dict()
     if on_distances:

@@ -21,15 +21,22 @@ def shared_count(count: torch.Tensor) -> torch.Tensor:
     return total / dist.get_world_size()
 
 
-def reconstruction_loss(image: torch.Tensor, target: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
-    """L1 inside a mask, over the number of values in it (paper Eq. 5).
+PIXEL_ERRORS: dict[str, Callable[[torch.Tensor], torch.Tensor]] = {"l1": torch.abs, "l2": torch.square}
+"""What a difference between pictures costs: its amount (paper Eq. 5), or its square (HeadNeRF, paper Sec. 4.4)."""
+
+
+def reconstruction_loss(
+    image: torch.Tensor, target: torch.Tensor, mask: torch.Tensor, error: str = "l1"
+) -> torch.Tensor:
+    """The mean error inside a mask, over the number of values in it (paper Eq. 5).
 
     Args:
         image, target: (B, 3, H, W).
         mask: (B, 1, H, W) bool or 0..1. An empty mask gives 0.
+        error: One of `PIXEL_ERRORS`.
     """
     weight = mask.to(image.dtype)
-    total = ((image - target).abs() * weight).sum()
+    total = (PIXEL_ERRORS[error](image - target) * weight).sum()
     return total / shared_count(weight.sum() * image.shape[1]).clamp(min=1.0)
 
 

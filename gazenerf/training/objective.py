@@ -177,14 +177,16 @@ class Objective(nn.Module):
         if config.eyes_weight:
             wanted["eyes_merged"] = (config.eyes_weight, eyes)
         masks_of = [mask for _, mask in wanted.values()]
-        found = self.operations.reconstruction(render.image, batch.image, masks_of)
+        found = self.operations.reconstruction(render.image, batch.image, masks_of, config.pixel_error)
         parts = {name: weight * loss for (name, (weight, _)), loss in zip(wanted.items(), found, strict=True)}
         if render.face_image is not None:
-            parts["face"] = config.reconstruction * reconstruction_loss(render.face_image, batch.image, face)
+            found_face = reconstruction_loss(render.face_image, batch.image, face, config.pixel_error)
+            parts["face"] = config.reconstruction * found_face
         target = masks = None
         if render.eyes_image is not None:
             target, masks = _crop(batch.image, render), _crop(eyes.float(), render) > 0.5
-            parts["eyes"] = config.reconstruction * reconstruction_loss(render.eyes_image, target, masks)
+            found_eyes = reconstruction_loss(render.eyes_image, target, masks, config.pixel_error)
+            parts["eyes"] = config.reconstruction * found_eyes
         features, estimate_gaze = self._frozen
         if config.perceptual and features is not None and progress >= config.perceptual_start:
             pairs = [(render.image, head, batch.image)]

@@ -27,13 +27,14 @@ class Operations:
 
     Attributes:
         pictures: A neural renderer and feature maps (B, h, w, C) to pictures (B, 3, H, W) float32 in (0, 1).
-        reconstruction: A picture, its target (B, 3, H, W) and masks (B, 1, H, W) to the loss of paper Eq. 5 in each.
+        reconstruction: A picture, its target (B, 3, H, W), masks (B, 1, H, W) and one of `losses.PIXEL_ERRORS` to the
+            loss of paper Eq. 5 in each mask.
         perceptual: Feature maps of a network, pictures and targets (B, 3, H, W) to the loss of paper Eq. 7.
         together: Pictures of one size go through `pictures` and `perceptual` in one pass.
     """
 
     pictures: Callable[[NeuralRenderer, torch.Tensor], torch.Tensor]
-    reconstruction: Callable[[torch.Tensor, torch.Tensor, Sequence[torch.Tensor]], list[torch.Tensor]]
+    reconstruction: Callable[[torch.Tensor, torch.Tensor, Sequence[torch.Tensor], str], list[torch.Tensor]]
     perceptual: Callable[[FeatureMaps, torch.Tensor, torch.Tensor], torch.Tensor]
     together: bool
 
@@ -91,10 +92,10 @@ def _blurred(maps: torch.Tensor) -> torch.Tensor:
 
 
 def reconstruction_losses(
-    image: torch.Tensor, target: torch.Tensor, masks: Sequence[torch.Tensor]
+    image: torch.Tensor, target: torch.Tensor, masks: Sequence[torch.Tensor], error: str = "l1"
 ) -> list[torch.Tensor]:
     """`reconstruction_loss` in several masks; only a compiler makes one pass of it."""
-    return [reconstruction_loss(image, target, mask) for mask in masks]
+    return [reconstruction_loss(image, target, mask, error) for mask in masks]
 
 
 def fused_perceptual(features: FeatureMaps, images: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
@@ -131,9 +132,11 @@ def compiled(operations: Operations, **how: Any) -> Operations:
         chosen = pictures if _square(maps.shape[1:3], maps) else operations.pictures
         return chosen(renderer, maps)
 
-    def differ(image: torch.Tensor, target: torch.Tensor, masks: Sequence[torch.Tensor]) -> list[torch.Tensor]:
+    def differ(
+        image: torch.Tensor, target: torch.Tensor, masks: Sequence[torch.Tensor], error: str = "l1"
+    ) -> list[torch.Tensor]:
         chosen = reconstruction if _square(image.shape[2:], image, target, *masks) else operations.reconstruction
-        return chosen(image, target, masks)
+        return chosen(image, target, masks, error)
 
     def compare(features: FeatureMaps, images: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
         chosen = perceptual if _square(images.shape[2:], images, targets) else operations.perceptual

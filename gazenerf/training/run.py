@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from gazenerf.checkpoints import load_field
 from gazenerf.data import CaptureSet
@@ -19,6 +20,8 @@ from gazenerf.progress import Progress, silent
 from gazenerf.training.config import PRESETS, TrainConfig
 from gazenerf.training.gaze_estimator import load_gaze_estimator
 from gazenerf.training.loop import FIELD, TrainingStep, train
+from gazenerf.training.models import LADDER, MODELS, STED, as_model, check_losses, with_losses
+from gazenerf.training.one_stream_start import left_out, with_conventions
 from gazenerf.training.perceptual import load_perceptual
 from gazenerf.training.runtime import COMPILE, Runtime
 from gazenerf.training.split import eyeballs_of, linear_eye_centres, split_captures
@@ -31,6 +34,9 @@ class TrainOptions:
     Attributes:
         data: Folder of captures.
         out: Folder of the run.
+        model: A name of `gazenerf.training.models.MODELS`: what the preset's field and losses are changed to; or
+            `sted`, which is no field, for `gazenerf.baselines.sted.run`.
+        losses: A step of `gazenerf.training.models.LADDER`; the preset's and the model's own losses when None.
         preset: A name of `gazenerf.training.config.PRESETS`.
         resume: Continue the run in `out`.
         initial: Start from this checkpoint.
@@ -46,6 +52,8 @@ class TrainOptions:
 
     data: Path = option(help="captures from `gazenerf synthesize` or `prepare`", metavar="DIR")
     out: Path = option(help="where the run is written", metavar="DIR")
+    model: str = option("gazenerf", "a row of the paper's tables (default: gazenerf)", choices=(*MODELS, STED))
+    losses: str | None = option(None, "a step of the paper's loss ladder", choices=tuple(LADDER))
     preset: str = option("small", "small (default), portrait, paper or tiny", metavar="NAME")
     resume: bool = option(False, "continue the run in --out")
     initial: Path | None = option(None, "start from this checkpoint", flag="--from", metavar="FILE")
@@ -70,7 +78,8 @@ def train_field(
     Args:
         options: See `TrainOptions`.
         progress: Told about steps, with the loss.
-        say: Told, in a line each, what a GPU could not do and what is done instead.
+        say: Told, in a line each, what a GPU could not do and what is done instead, and what of the field it starts
+            from cannot be used.
 
     Returns:
         The field's file; None in a process of a parallel run that writes nothing.
@@ -84,6 +93,11 @@ def train_field(
     if not learned:
         raise UserError("nothing is left to train on; lower --held-out or --held-out-views")
     field_config = _field_config(config, learned[0])
+    initial = None if options.initial is None else load_field(options.initial)
+    if initial is not None:
+        field_config = with_conventions(field_config, initial.config, frozenset(config.field_overrides))
+        if missed := left_out(initial.config, field_config):
+            say(f"--from {options.initial}: {'; '.join(missed)}")
     features = estimate_gaze = None
     if config.perceptual:
         try:
@@ -103,16 +117,16 @@ def train_field(
         config,
         options.out,
         held_out=watched,
-        eyeballs=eyeballs_of(learned) if config.eyeball else None,
+        eyeballs=eyeballs_of(learned) if config.eyeball and field_config.streams == "two" else None,
         eye_centres=linear_eye_centres(field_config.identity) if field_config.eye_motion == "rigid" else None,
         features=features,
         estimate_gaze=estimate_gaze,
         runtime=runtime,
         resume=options.resume,
-        initial=None if options.initial is None else load_field(options.initial),
+        initial=initial,
         minutes=options.minutes,
         stop_after=options.stop_after,
-        about={"preset": options.preset, "data": captures.manifest},
+        about={"model": options.model, "preset": options.preset, "data": captures.manifest},
         on_step=on_step,
         progress=progress,
         say=say,
@@ -136,8 +150,9 @@ def _field_config(config: TrainConfig, capture: Capture) -> FieldConfig:
         "image_size": size,
     }
     try:
-        return replace(FIELD_PRESETS[config.field_preset], **{**sizes, **config.field_overrides})
-    except (ValueError, TypeError) as error:
+        preset = FIELD_PRESETS[config.field_preset].to_dict()
+        return FieldConfig.from_dict({**preset, **sizes, **config.field_overrides})
+    except (ValueError, TypeError, KeyError) as error:
         raise UserError(
             f"captures of {size} px do not fit the field {config.field_preset!r}: {error}; "
             "synthesize at another --size, or --set field_overrides"
@@ -145,19 +160,38 @@ def _field_config(config: TrainConfig, capture: Capture) -> FieldConfig:
 
 
 def chosen_config(options: TrainOptions) -> TrainConfig:
-    """The preset with its changed settings.
+    """The preset with the model's changes, those of the losses, and the settings that were typed; later ones win.
 
     Raises:
-        UserError: unknown preset or setting.
+        UserError: unknown preset, model, losses or setting, or losses that such a run could not have.
     """
     if options.preset not in PRESETS:
         meant = did_you_mean(options.preset, PRESETS)
         raise UserError(f"unknown preset {options.preset!r}{meant}; there are {', '.join(PRESETS)}")
-    settings = PRESETS[options.preset].to_dict() | dict(_setting(text) for text in options.settings)
+    chosen = as_model(PRESETS[options.preset], options.model)
+    if options.losses is not None:
+        chosen = with_losses(chosen, options.losses)
+    typed = typed_settings(options.settings)
+    overrides = typed.pop("field_overrides", {})
+    if not isinstance(overrides, dict):
+        raise UserError('--set field_overrides: give an object, such as {"hidden": 96}')
+    chosen = replace(chosen, field_overrides={**chosen.field_overrides, **overrides})
     try:
-        return TrainConfig.from_dict(settings)
+        config = TrainConfig.from_dict(chosen.to_dict() | typed)
     except (ValueError, TypeError) as error:
         raise UserError(f"--set: {error}") from error
+    if options.losses is not None:
+        check_losses(config)
+    return config
+
+
+def typed_settings(settings: Sequence[str]) -> dict[str, Any]:
+    """`KEY=VALUE` texts by key, values as JSON where they are that.
+
+    Raises:
+        UserError: a text is something else.
+    """
+    return dict(_setting(text) for text in settings)
 
 
 def _setting(text: str) -> tuple[str, object]:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from gazenerf.data.captures import Capture
+from gazenerf.data.storage import write_manifest, write_shard
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.subjects import Codes
 
@@ -69,3 +72,14 @@ def toy_captures() -> list[Capture]:
 def toy_eyeballs():
     """The eyeballs of every toy capture."""
     return lambda capture: (EYES, EYE_RADIUS)
+
+
+@pytest.fixture
+def toy_folder(toy_captures, tmp_path) -> Path:
+    """The toy captures on disk."""
+    folder = tmp_path / "captures"
+    folder.mkdir()
+    write_manifest(folder, {"code_sizes": list(toy_captures[0].codes.sizes)})
+    for person in range(2):
+        write_shard(folder, [capture for capture in toy_captures if capture.person == person])
+    return folder

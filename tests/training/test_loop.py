@@ -11,11 +11,13 @@ import torch
 
 from gazenerf.checkpoints import load_field
 from gazenerf.errors import UserError
+from gazenerf.field.compositing import StreamSamples, composite_stream
 from gazenerf.field.config import PRESETS as FIELDS
 from gazenerf.field.model import TwoStreamField
 from gazenerf.training.batches import BatchMaker
 from gazenerf.training.config import PRESETS, TrainConfig
 from gazenerf.training.forward import render_batch
+from gazenerf.training.geometry_terms import OneStreamRays, one_stream_terms
 from gazenerf.training.loop import train, trained_range
 from gazenerf.training.objective import Objective, Offsets, schedule
 from gazenerf.training.runtime import Runtime
@@ -88,13 +90,50 @@ def test_the_slabs_of_the_paper_train_too(toy_captures):
 
 
 @pytest.mark.parametrize("motion", ["none", "feature_rotation"])
-def test_one_stream_trains(toy_captures, motion):
-    config = replace(FIELD, streams="one", eye_motion=motion)
-    model = TwoStreamField(config)
+def test_one_stream_learns_from_pictures_and_from_geometry(toy_captures, motion):
+    model = TwoStreamField(replace(FIELD, streams="one", eye_motion=motion))
     batch = BatchMaker(toy_captures, 16).batch([0, 1], np.random.default_rng(0))
-    loss, _ = Objective(model, replace(CONFIG, depth=0, surface=0, opacity=0, empty=0, eyeball=0), 16)(batch, 0)
+    loss, parts = Objective(model, CONFIG, 16)(batch, 0)
+    assert set(parts) == {"whole", "background", "eyes_merged", "depth", "surface", "opacity", "empty"}
+    assert all(part.item() > 0 for part in parts.values())
     loss.backward()
-    assert float(model.stream("head").density.weight.grad.abs().max()) > 0
+    for name, value in model.named_parameters():
+        if not name.startswith("renderer.background"):
+            assert value.grad is not None and float(value.grad.abs().max()) > 0, name
+
+
+def test_one_stream_that_lies_where_it_should_has_no_geometry_to_learn(toy_captures):
+    """The terms vanish for light that stops at the captured surface, and for that alone."""
+    batch = BatchMaker(toy_captures, 16).batch([0, 1], np.random.default_rng(0))
+    model = TwoStreamField(replace(FIELD, streams="one", eye_motion="none"))
+    codes = batch.shape_code, batch.appearance_code, model.label(batch.gaze)
+    t = batch.distance[..., None] + torch.linspace(-0.2, 0.2, 41)
+    found = {}
+    for name, edge in (("right", 0.0), ("deeper", 0.1)):
+        density = torch.where(t >= batch.distance[..., None] + edge, 400.0, 0.0)
+        covered = (batch.face_coverage + batch.eyes_coverage)[..., None]
+        seen = composite_stream(StreamSamples(density, torch.zeros(*t.shape, 1)), torch.full_like(t, 0.01))
+        seen = replace(seen, opacity=torch.where(batch.has_surface, covered[..., 0], 0.0))
+        rays = OneStreamRays(t, density, seen, model.condition("head", *codes))
+        found[name] = one_stream_terms(model, batch, rays)
+    assert float(found["right"]["opacity"]) == pytest.approx(0.0, abs=1e-6)
+    assert float(found["right"]["surface"]) == 0.0 and float(found["deeper"]["surface"]) > 0.1
+    assert float(found["right"]["depth"]) < 0.5 * float(found["deeper"]["depth"])
+
+
+def test_squared_errors_are_what_a_run_can_learn_by(toy_captures, toy_eyeballs):
+    model = TwoStreamField(FIELD)
+    batch = BatchMaker(toy_captures, 16, eyeballs=toy_eyeballs).batch([0, 9], np.random.default_rng(0))
+    config = replace(CONFIG, shell_noise=0.0)
+    found = {}
+    for error in ("l1", "l2"):
+        torch.manual_seed(0)
+        found[error] = Objective(model, replace(config, pixel_error=error), len(toy_captures))(batch, 0)[1]
+    for name in ("whole", "background", "eyes_merged", "face", "eyes"):
+        assert 0.0 < float(found["l2"][name]) < float(found["l1"][name]), name
+    assert float(found["l2"]["depth"]) == pytest.approx(float(found["l1"]["depth"]))
+    with pytest.raises(ValueError, match="pixel_error must be one of l1, l2"):
+        TrainConfig.from_dict({"pixel_error": "l3"})
 
 
 def test_rigid_eyes_train_and_need_their_centres(toy_captures, toy_eyeballs, tmp_path):

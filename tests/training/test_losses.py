@@ -27,6 +27,7 @@ def test_reconstruction_counts_only_the_mask():
     mask[..., :2, :] = True
     assert reconstruction_loss(image, target, mask).item() == pytest.approx(1.0)
     assert reconstruction_loss(image, target, ~mask).item() == pytest.approx(7.0)
+    assert reconstruction_loss(image, target, ~mask, "l2").item() == pytest.approx(49.0)
 
 
 def test_reconstruction_of_an_empty_mask_is_zero_with_a_gradient():

@@ -190,7 +190,7 @@ def test_compiled_operations_are_one_program_each_and_give_the_same_numbers() ->
         torch.testing.assert_close(fast.perceptual(network, image, target), FUSED.perceptual(network, image, target))
         masks = [target[:, :1] > 0.5, target[:, :1] > 0.9]
         torch.testing.assert_close(
-            fast.reconstruction(image, target, masks), FUSED.reconstruction(image, target, masks)
+            fast.reconstruction(image, target, masks, "l1"), FUSED.reconstruction(image, target, masks, "l1")
         )
     assert len(programs) == 3
     crop = torch.randn(2, 6, 16, 24)

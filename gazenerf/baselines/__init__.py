@@ -1,0 +1,1 @@
+"""Models that GazeNeRF is compared with and that are no fields."""
