@@ -1,0 +1,184 @@
+"""One redirection and what is measured of it, as the paper does: the target's picture is the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import cv2
+import numpy as np
+import torch
+import torch.nn.functional as F
+
+from gazenerf.data.captures import Capture
+from gazenerf.errors import UserError
+from gazenerf.evaluation.rows import Rows
+from gazenerf.field.model import TwoStreamField
+from gazenerf.geometry import Camera, Gaze
+from gazenerf.geometry.labels import unit_direction
+from gazenerf.heads import Head
+from gazenerf.heads.cutouts import over, render_cut_out
+from gazenerf.image_metrics import psnr, ssim
+from gazenerf.subjects import Codes, Subject
+
+WHITE, BLACK = (255, 255, 255), (0, 0, 0)
+
+RIM = 2.0
+"""Pixels of a picture of 512 on either side of the outline that count for nothing."""
+
+SSIM_SIDE = 256
+"""Pictures are averaged down to about this side before SSIM, as the library of the published evaluation does."""
+
+UNITS = {
+    "gaze_deg": "deg", "head_deg": "deg", "ssim": "", "psnr": "dB", "lpips": "",
+    "gaze_label_deg": "deg", "head_label_deg": "deg", "gaze_estimator_deg": "deg", "head_estimator_deg": "deg",
+}  # fmt: skip
+"""Every measurement's name and unit.
+
+`gaze_deg`, `head_deg`: between what the estimator reads off the redirected picture and off the target's, the paper's
+errors; `*_label_deg`: between what it reads off the redirected picture and the target's label; `*_estimator_deg`:
+between what it reads off the target's picture and the label, the estimator's own error.
+"""
+
+
+class ViewReader(Protocol):
+    """An estimator of gaze and head pose."""
+
+    def read_views(self, images: torch.Tensor, camera: Camera) -> tuple[torch.Tensor, torch.Tensor]:
+        """Gaze (B, 2) radians and direction from the head to the camera (B, 3), head frame.
+
+        Args:
+            images: (B, 3, H, W) sRGB in [0, 1] on black.
+            camera: That took all of them.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class Redirection:
+    """One thing to measure.
+
+    Attributes:
+        person: Index.
+        name: Unique among the redirections of a set.
+        source: Whose identity and texture are kept.
+        target: Where it is to arrive.
+    """
+
+    person: int
+    name: str
+    source: Capture
+    target: Capture
+
+
+@dataclass(frozen=True)
+class PaperInstruments:
+    """What measures, beyond plain pictures. None leaves a measurement out.
+
+    Attributes:
+        estimator: Reads gaze and head pose.
+        lpips: Two batches (B, 3, H, W) in [0, 1] to distances (B,).
+    """
+
+    estimator: ViewReader | None = None
+    lpips: Callable[[torch.Tensor, torch.Tensor], torch.Tensor] | None = None
+
+
+def redirected_codes(source: Codes, target: Codes) -> Codes:
+    """The source's identity and texture, in the light and with the expression of the target.
+
+    What is redirected is gaze and head pose, so the rest of what the target shows is taken from it: the published
+    evaluation takes the target's illumination code, and has one expression for all.
+    """
+    return replace(target, identity=source.identity, texture=source.texture)
+
+
+def redirect(model: TwoStreamField, item: Redirection, precision: str = "auto") -> np.ndarray:
+    """The source with the target's gaze, from the target's camera.
+
+    Returns:
+        (H, W, 4) float32: sRGB times opacity, and opacity.
+    """
+    codes = redirected_codes(item.source.codes, item.target.codes)
+    bound = Head(model, Subject(f"person-{item.person}", codes, codes), precision=precision).at(item.target.gaze)
+    return render_cut_out(bound, item.target.camera).cutouts["head"]
+
+
+def measure_redirection(
+    model: TwoStreamField, item: Redirection, instruments: PaperInstruments, precision: str = "auto"
+) -> Rows:
+    """One row of measurements, by `UNITS`.
+
+    Raises:
+        UserError: the estimator reads a direction without a length.
+    """
+    made, truth = compared(redirect(model, item, precision), item.target)
+    with torch.no_grad():
+        row = _quality(over(made, WHITE), over(truth, WHITE), instruments)
+        if instruments.estimator is not None:
+            pictures = as_batch(over(made, BLACK), over(truth, BLACK))
+            row |= _directions(item.target, *instruments.estimator.read_views(pictures, item.target.camera))
+    return [row]
+
+
+def compared(made: np.ndarray, target: Capture) -> tuple[np.ndarray, np.ndarray]:
+    """The cutouts (H, W, 4) that are compared: of the redirected picture and of the target.
+
+    In a rim of `RIM` about the target's outline both show nothing: its pixels mix head and background. The published
+    evaluation takes that rim off the mask, and its fields learn pictures without it.
+    """
+    image = target.image.astype(np.float32) / 255.0
+    size = 2 * max(1, round(RIM * min(image.shape[:2]) / 512)) + 1
+    square = np.ones((size, size), np.uint8)
+    mask = target.head_mask.astype(np.uint8)
+    inner, outer = (change(mask, square)[..., None].astype(np.float32) for change in (cv2.erode, cv2.dilate))
+    return made * np.where(outer > inner, 0.0, 1.0).astype(np.float32), np.concatenate([inner * image, inner], axis=2)
+
+
+def as_batch(*pictures: np.ndarray) -> torch.Tensor:
+    """(B, 3, H, W) float32 of pictures (H, W, 3)."""
+    return torch.from_numpy(np.stack(pictures)).permute(0, 3, 1, 2).float().clamp(0.0, 1.0)
+
+
+def _quality(made: np.ndarray, truth: np.ndarray, instruments: PaperInstruments) -> dict[str, float]:
+    """How alike whole pictures (H, W, 3) on white are."""
+    row = {"psnr": psnr(made, truth), "ssim": ssim(*_averaged_down(as_batch(made, truth)))}
+    if instruments.lpips is not None:
+        pair = as_batch(made, truth)
+        row["lpips"] = float(instruments.lpips(pair[:1], pair[1:]))
+    return row
+
+
+def _averaged_down(pictures: torch.Tensor) -> list[np.ndarray]:
+    step = max(1, round(min(pictures.shape[-2:]) / SSIM_SIDE))
+    small = F.avg_pool2d(pictures, step) if step > 1 else pictures
+    return [picture.permute(1, 2, 0).numpy() for picture in small]
+
+
+def _directions(target: Capture, gaze: torch.Tensor, towards: torch.Tensor) -> dict[str, float]:
+    """Angles between readings of the redirected picture (first), of the target's, and the target's labels."""
+    gazes = [Gaze(*map(float, angles)).vector() for angles in gaze]
+    heads = list(towards.numpy().astype(np.float64))
+    row: dict[str, float] = {}
+    for name, (made, truth), label in (
+        ("gaze", gazes, target.gaze.vector()),
+        ("head", heads, target.camera.position),
+    ):
+        row[f"{name}_deg"] = degrees_between(made, truth)
+        row[f"{name}_label_deg"] = degrees_between(made, label)
+        row[f"{name}_estimator_deg"] = degrees_between(truth, label)
+    return row
+
+
+def degrees_between(a: np.ndarray, b: np.ndarray) -> float:
+    """Degrees between two vectors (3,) of any length (paper Eq. 10).
+
+    Raises:
+        UserError: one of them points nowhere.
+    """
+    try:
+        first, second = unit_direction(a, "a direction"), unit_direction(b, "a direction")
+    except ValueError as error:
+        raise UserError(f"{error}, so it makes no angle with another; look at the labels and the estimator") from error
+    return float(np.rad2deg(np.arctan2(np.linalg.norm(np.cross(first, second)), first @ second)))
