@@ -47,6 +47,7 @@ class EvaluateOptions:
         pairs: Of protocol `paper`, which captures are redirected to which; drawn and written where it is not there.
         seed: Pairs are drawn with.
         gaze_estimator: Reads gazes off pictures; the bundled one by default.
+        identity_model: Of protocol `paper`, tells people apart; see `gazenerf.evaluation.identity`.
         iris: Measure gaze by iris triangulation.
         device: Where the field is computed; everything else is measured on the CPU.
         precision: Of the field's matrix products.
@@ -69,6 +70,9 @@ class EvaluateOptions:
     pairs: Path | None = option(None, "of --protocol paper; is drawn and written where it is not there", metavar="FILE")
     seed: int = option(0, "of pairs that are drawn (default: 0)", metavar="S")
     gaze_estimator: Path | None = option(None, "default: bundled", metavar="FILE")
+    identity_model: Path | None = option(
+        None, "of --protocol paper: ArcFace network in ONNX (default: dlib's, where it is installed)", metavar="FILE"
+    )
     iris: bool = option(True, "skip gaze by iris triangulation", flag="--no-iris")
     device: str = option("auto", "where the field is computed: cpu, cuda, or auto (default: auto)", metavar="DEVICE")
     precision: str = option(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,9 +12,12 @@ import numpy as np
 
 from gazenerf.data import CaptureSet
 from gazenerf.errors import UserError
-from gazenerf.evaluation.intervals import Estimate, over_subjects
+from gazenerf.evaluation.frechet import load_features
+from gazenerf.evaluation.identity import identity_name, load_identity
+from gazenerf.evaluation.intervals import Estimate
 from gazenerf.evaluation.measuring import EvaluateOptions, gaze_reader, open_field, optional
 from gazenerf.evaluation.pairs import Pair, Pairs, draw_pairs, load_pairs, save_pairs
+from gazenerf.evaluation.paper_summary import summarised
 from gazenerf.evaluation.redirection import UNITS, PaperInstruments, Redirection, measure_redirection
 from gazenerf.evaluation.rows import MadeRows, Rows
 from gazenerf.evaluation.steps import asked, held_out_people, measure_missing, opened
@@ -22,6 +25,7 @@ from gazenerf.execution import Tell, Where
 from gazenerf.execution.job import reason
 from gazenerf.files import whole_file
 from gazenerf.geometry.labels import check_radians
+from gazenerf.head_model import load_head_model
 from gazenerf.progress import Progress, silent
 from gazenerf.training.perceptual import load_lpips
 
@@ -71,7 +75,18 @@ class Redirecting:
 
 
 def _instruments(options: EvaluateOptions, left_out: dict[str, str]) -> PaperInstruments:
-    return PaperInstruments(gaze_reader(options, left_out), optional(left_out, "LPIPS", lambda: load_lpips("vgg16")))
+    """What can measure here; why something cannot is put into `left_out`."""
+    if options.identity_model is not None:
+        embed = load_identity(options.identity_model)
+    else:
+        embed = optional(left_out, "identity similarity", load_identity)
+    return PaperInstruments(
+        gaze_reader(options, left_out),
+        optional(left_out, "LPIPS", lambda: load_lpips("vgg16")),
+        optional(left_out, "Frechet distance", lambda: load_features(left_out)),
+        embed,
+        load_head_model(),
+    )
 
 
 def evaluate_redirection(
@@ -95,7 +110,9 @@ def evaluate_redirection(
     model, captures = opened(options, where)
     pairs = chosen_pairs(options, captures)
     items = [_item(pair, captures) for pair in pairs.first(options.limit)]
-    made = MadeRows.beside(options.out, asked(options, model, captures) | {"pairs": pairs.hash})
+    identity = identity_name(options.identity_model)
+    by = {"pairs": pairs.hash, "identity": identity}
+    made = MadeRows.beside(options.out, asked(options, model, captures) | by)
     failures = measure_missing(Redirecting(where.placed(options), model.weights_hash), items, where, made, progress)
     rows = [(item.person, row) for item in items for row in made.rows.get(item.name, ())]
     measurements, subjects = summarised(rows)
@@ -107,6 +124,7 @@ def evaluate_redirection(
         "pairs": {"file": str(options.pairs), "hash": pairs.hash, "data": pairs.data, "seed": pairs.seed,
                   "measured": len(rows)},
         "codes": CODES,
+        "identity_model": identity if "identity_similarity" in measurements else None,
         "units": UNITS,
         "measurements": {name: estimate.to_dict() for name, estimate in measurements.items()},
         "subjects": subjects,
@@ -145,26 +163,3 @@ def chosen_pairs(options: EvaluateOptions, captures: CaptureSet) -> Pairs:
 def _item(pair: Pair, captures: CaptureSet) -> Redirection:
     own = {capture.view: capture for capture in captures if capture.person == pair.person}
     return Redirection(pair.person, pair.name, own[pair.source], own[pair.target])
-
-
-def summarised(
-    rows: Sequence[tuple[int, dict[str, float]]],
-) -> tuple[dict[str, Estimate], dict[str, dict[str, float]]]:
-    """Means of rows of people: each measurement's over subjects with its interval, and each subject's own."""
-    people = sorted({person for person, _ in rows})
-    subjects: dict[str, dict[str, float]] = {}
-    for person in people:
-        own = [row for whose, row in rows if whose == person]
-        found: dict[str, float] = {"pairs": len(own)}
-        for name in UNITS:
-            values = [row[name] for row in own if np.isfinite(row.get(name, np.nan))]
-            if values:
-                found[name] = float(np.mean(values))
-        subjects[str(person)] = found
-    measurements = {
-        name: over_subjects([found[name] for found in subjects.values() if name in found])
-        for name in UNITS
-        if any(name in found for found in subjects.values())
-    }
-    rounded = {person: {name: round(value, 4) for name, value in found.items()} for person, found in subjects.items()}
-    return measurements, rounded

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -13,10 +13,13 @@ import torch.nn.functional as F
 
 from gazenerf.data.captures import Capture
 from gazenerf.errors import UserError
-from gazenerf.evaluation.rows import Rows
+from gazenerf.evaluation.frechet import Features
+from gazenerf.evaluation.identity import Embedding, landmarks
+from gazenerf.evaluation.rows import Rows, packed
 from gazenerf.field.model import TwoStreamField
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.geometry.labels import unit_direction
+from gazenerf.head_model.interface import HeadModel
 from gazenerf.heads import Head
 from gazenerf.heads.cutouts import over, render_cut_out
 from gazenerf.image_metrics import psnr, ssim
@@ -31,15 +34,22 @@ SSIM_SIDE = 256
 """Pictures are averaged down to about this side before SSIM, as the library of the published evaluation does."""
 
 UNITS = {
-    "gaze_deg": "deg", "head_deg": "deg", "ssim": "", "psnr": "dB", "lpips": "",
+    "gaze_deg": "deg", "head_deg": "deg", "ssim": "", "psnr": "dB", "lpips": "", "fid": "", "frechet_alexnet": "",
+    "identity_similarity": "", "identity_captures": "", "identity_others": "",
     "gaze_label_deg": "deg", "head_label_deg": "deg", "gaze_estimator_deg": "deg", "head_estimator_deg": "deg",
 }  # fmt: skip
 """Every measurement's name and unit.
 
 `gaze_deg`, `head_deg`: between what the estimator reads off the redirected picture and off the target's, the paper's
 errors; `*_label_deg`: between what it reads off the redirected picture and the target's label; `*_estimator_deg`:
-between what it reads off the target's picture and the label, the estimator's own error.
+between what it reads off the target's picture and the label, the estimator's own error. `fid` and `frechet_alexnet`:
+see `gazenerf.evaluation.frechet`. `identity_similarity`: cosine of the embeddings of the redirected picture and the
+target; `identity_captures`: of the source's own picture and the target; `identity_others`: of targets of different
+people.
 """
+
+EMBEDDING = "embedding"
+"""Name in a row of the target's packed embedding; features are under `features_names`."""
 
 
 class ViewReader(Protocol):
@@ -79,10 +89,16 @@ class PaperInstruments:
     Attributes:
         estimator: Reads gaze and head pose.
         lpips: Two batches (B, 3, H, W) in [0, 1] to distances (B,).
+        features: Of pictures, for a Frechet distance.
+        embed: A face in a picture to a unit vector.
+        head_model: Tells where the face is.
     """
 
     estimator: ViewReader | None = None
     lpips: Callable[[torch.Tensor, torch.Tensor], torch.Tensor] | None = None
+    features: Features | None = None
+    embed: Embedding | None = None
+    head_model: HeadModel | None = None
 
 
 def redirected_codes(source: Codes, target: Codes) -> Codes:
@@ -108,10 +124,10 @@ def redirect(model: TwoStreamField, item: Redirection, precision: str = "auto") 
 def measure_redirection(
     model: TwoStreamField, item: Redirection, instruments: PaperInstruments, precision: str = "auto"
 ) -> Rows:
-    """One row of measurements, by `UNITS`.
+    """One row: measurements by `UNITS`, the target's packed embedding, and packed features of both pictures.
 
     Raises:
-        UserError: the estimator reads a direction without a length.
+        UserError: the estimator reads a direction without a length, or the embedding has none.
     """
     made, truth = compared(redirect(model, item, precision), item.target)
     with torch.no_grad():
@@ -119,7 +135,7 @@ def measure_redirection(
         if instruments.estimator is not None:
             pictures = as_batch(over(made, BLACK), over(truth, BLACK))
             row |= _directions(item.target, *instruments.estimator.read_views(pictures, item.target.camera))
-    return [row]
+    return [row | _identity(item, over(made, WHITE), over(truth, WHITE), instruments)]
 
 
 def compared(made: np.ndarray, target: Capture) -> tuple[np.ndarray, np.ndarray]:
@@ -141,13 +157,39 @@ def as_batch(*pictures: np.ndarray) -> torch.Tensor:
     return torch.from_numpy(np.stack(pictures)).permute(0, 3, 1, 2).float().clamp(0.0, 1.0)
 
 
-def _quality(made: np.ndarray, truth: np.ndarray, instruments: PaperInstruments) -> dict[str, float]:
+def features_names(distance: str) -> tuple[str, str]:
+    """Names in a row of the features by which a distance is: of the redirected picture, and of the target."""
+    return f"{distance}_made", f"{distance}_truth"
+
+
+def _quality(made: np.ndarray, truth: np.ndarray, instruments: PaperInstruments) -> dict[str, Any]:
     """How alike whole pictures (H, W, 3) on white are."""
-    row = {"psnr": psnr(made, truth), "ssim": ssim(*_averaged_down(as_batch(made, truth)))}
+    pair = as_batch(made, truth)
+    row: dict[str, Any] = {"psnr": psnr(made, truth), "ssim": ssim(*_averaged_down(pair))}
     if instruments.lpips is not None:
-        pair = as_batch(made, truth)
         row["lpips"] = float(instruments.lpips(pair[:1], pair[1:]))
+    if instruments.features is not None:
+        names, found = features_names(instruments.features.name), instruments.features(pair)
+        row |= {name: packed(vector.numpy()) for name, vector in zip(names, found, strict=True)}
     return row
+
+
+def _identity(item: Redirection, made: np.ndarray, truth: np.ndarray, instruments: PaperInstruments) -> dict[str, Any]:
+    """How alike the people in pictures (H, W, 3) on white are."""
+    if instruments.embed is None or instruments.head_model is None:
+        return {}
+    source, target = item.source, item.target
+    codes = redirected_codes(source.codes, target.codes)
+    from_source = landmarks(instruments.head_model, source.codes, source)
+    from_target = landmarks(instruments.head_model, codes, target)
+    own = np.where(source.head_mask[..., None], source.image, np.uint8(255))
+    pictures = [np.round(255.0 * np.clip(picture, 0.0, 1.0)).astype(np.uint8) for picture in (made, truth)]
+    redirected, wanted = (instruments.embed(picture, from_target) for picture in pictures)
+    return {
+        "identity_similarity": float(redirected @ wanted),
+        "identity_captures": float(instruments.embed(own, from_source) @ wanted),
+        EMBEDDING: packed(wanted),
+    }
 
 
 def _averaged_down(pictures: torch.Tensor) -> list[np.ndarray]:

@@ -11,14 +11,17 @@ import torch
 
 from gazenerf.errors import UserError
 from gazenerf.evaluation.redirection import (
+    EMBEDDING,
     UNITS,
     PaperInstruments,
     Redirection,
     compared,
     degrees_between,
+    features_names,
     measure_redirection,
     redirected_codes,
 )
+from gazenerf.evaluation.rows import unpacked
 from gazenerf.geometry import Gaze
 from gazenerf.heads.interface import GeometryView, RenderedView
 
@@ -76,7 +79,8 @@ def test_known_errors_come_out_as_they_are(item, monkeypatch):
     asked = bind(monkeypatch, Brighter())
     instruments = PaperInstruments(Reader(), lambda a, b: (a - b).abs().mean((1, 2, 3)))
     (row,) = measure_redirection(None, item, instruments)
-    assert set(row) == set(UNITS)
+    of_people = {"identity_similarity", "identity_captures", "identity_others"}
+    assert set(row) == set(UNITS) - {"fid", "frechet_alexnet"} - of_people
     share = 30.0**2 / SIZE**2
     assert row["psnr"] == pytest.approx(20.0 - 10.0 * np.log10(share), abs=0.01), "0.1 off inside, white outside"
     assert row["lpips"] == pytest.approx(0.1 * share, abs=1e-4)
@@ -118,6 +122,32 @@ def test_directions_without_a_length_are_one_line(item, monkeypatch):
     with pytest.raises(UserError, match="not finite"):
         degrees_between(np.array([np.nan, 0, 1]), np.array([0, 0, 1]))
     assert degrees_between(np.array([0, 0, 5.0]), np.array([0, 2.0, 0])) == pytest.approx(90.0)
+
+
+def test_people_and_features_are_of_white_pictures(item, monkeypatch):
+    bind(monkeypatch, Brighter())
+    seen: list[np.ndarray] = []
+
+    def embed(picture, points):
+        seen.append(picture)
+        assert points.shape == (68, 2)
+        return np.eye(3)[len(seen) % 2]
+
+    class Means:
+        name = "fid"
+
+        def __call__(self, pictures):
+            return pictures.mean((2, 3))
+
+    mesh = SimpleNamespace(landmarks={str(number): np.zeros(3) for number in range(68)})
+    model = SimpleNamespace(mesh=lambda codes, gaze: mesh)
+    (row,) = measure_redirection(None, item, PaperInstruments(features=Means(), embed=embed, head_model=model))
+    assert all((picture[0, 0] == 255).all() and picture.dtype == np.uint8 for picture in seen)
+    assert [int(picture[30, 30, 0]) for picture in seen] == [154, 128, 128], "redirected, target, source"
+    assert row["identity_similarity"] == 0.0 and row["identity_captures"] == 0.0
+    np.testing.assert_allclose(unpacked(row[EMBEDDING]), np.eye(3)[0])
+    made, truth = (unpacked(row[name]) for name in features_names("fid"))
+    np.testing.assert_allclose(made - truth, 0.1 * 30.0**2 / SIZE**2, atol=1e-3)
 
 
 def test_pictures_of_any_size_are_averaged_down_before_ssim(item, monkeypatch):
