@@ -46,7 +46,7 @@ METHODS = {
     "bootstrap": "intervals by bootstrap over people",
     "t": "intervals by Student's t over people, who are few",
     "jackknife": "of the Frechet distance by leaving each person out",
-    "none": "no interval of one person",
+    "none": "no interval where there are too few",
 }
 """How intervals are said to be made."""
 

@@ -145,4 +145,4 @@ def frechet_estimate(features: Mapping[int, tuple[np.ndarray, np.ndarray]]) -> E
     everybody = sorted(features)
     rests = [[person for person in everybody if person != left_out] for left_out in everybody]
     enough = all(sum(len(features[person][0]) for person in rest) >= 2 for rest in rests)
-    return jackknifed(over(everybody), [over(rest) for rest in rests] if enough else [])
+    return jackknifed(over(everybody), [over(rest) for rest in rests] if enough else [], len(everybody))

@@ -22,7 +22,7 @@ class Estimate:
 
     Attributes:
         mean: Over subjects.
-        low, high: Ends of the interval of `SHARE`; None where one subject gives none.
+        low, high: Ends of the interval of `SHARE`; None where too few give none.
         subjects: How many.
         method: How the interval was made: `bootstrap` (bias-corrected and accelerated, over subjects), `t`,
             `jackknife` (of a number that only all pictures together have) or `none`.
@@ -67,16 +67,17 @@ def over_subjects(values: Sequence[float]) -> Estimate:
     return Estimate(mean, float(interval.low), float(interval.high), count, "bootstrap")
 
 
-def jackknifed(whole: float, without_each: Sequence[float]) -> Estimate:
+def jackknifed(whole: float, without_each: Sequence[float], subjects: int) -> Estimate:
     """The interval of a number that only all subjects together have, by leaving each of them out.
 
     Args:
         whole: Of all subjects.
-        without_each: (S,) the same without each subject; empty where there is one subject.
+        without_each: (S,) the same without each subject; empty where that cannot be.
+        subjects: How many there are.
     """
     count = len(without_each)
     if count < 2:
-        return Estimate(whole, None, None, 1, "none")
+        return Estimate(whole, None, None, subjects, "none")
     left_out = np.asarray(without_each, dtype=np.float64)
     error = float(np.sqrt((count - 1) / count * np.square(left_out - left_out.mean()).sum()))
     return _t_interval(whole, error, count, "jackknife")

@@ -23,7 +23,7 @@ from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model import load_head_model
 from gazenerf.options import option
 from gazenerf.subjects import Codes
-from gazenerf.training.gaze_estimator import GazeEstimator, load_gaze_estimator
+from gazenerf.training.estimators import ViewReader, load_view_reader
 from gazenerf.training.perceptual import load_lpips
 from gazenerf.training.runtime import fast_bfloat16
 
@@ -69,7 +69,9 @@ class EvaluateOptions:
     )
     pairs: Path | None = option(None, "of --protocol paper; is drawn and written where it is not there", metavar="FILE")
     seed: int = option(0, "of pairs that are drawn (default: 0)", metavar="S")
-    gaze_estimator: Path | None = option(None, "default: bundled", metavar="FILE")
+    gaze_estimator: Path | None = option(
+        None, "from `gazenerf train-estimator`, or of --protocol paper published (default: bundled)", metavar="FILE"
+    )
     identity_model: Path | None = option(
         None, "of --protocol paper: ArcFace network in ONNX (default: dlib's, where it is installed)", metavar="FILE"
     )
@@ -131,21 +133,27 @@ def _instruments(
     options: EvaluateOptions, size: int, left_out: dict[str, str], stack: contextlib.ExitStack
 ) -> Instruments:
     """What can measure here; why something cannot is put into `left_out`."""
-    estimator = gaze_reader(options, left_out)
+    reader = gaze_reader(options, left_out)
+    if reader is not None and not reader.knows_labels:
+        raise UserError(
+            f"{options.gaze_estimator} holds published weights, whose angles are their own; only --protocol paper, "
+            "which compares two readings, takes them"
+        )
     lpips = optional(left_out, "LPIPS", load_lpips)
     reference = optional(left_out, "the iris reference", lambda: _reference(size, stack)) if options.iris else None
-    return Instruments(estimator, lpips, reference)
+    estimate = None if reader is None else lambda images, camera: reader.read_views(images, camera)[0]
+    return Instruments(estimate, lpips, reference)
 
 
-def gaze_reader(options: EvaluateOptions, left_out: dict[str, str]) -> GazeEstimator | None:
+def gaze_reader(options: EvaluateOptions, left_out: dict[str, str]) -> ViewReader | None:
     """The estimator that was asked for, or the bundled one; None where there is none.
 
     Raises:
         UserError: the one that was asked for cannot be read.
     """
     if options.gaze_estimator is not None:
-        return load_gaze_estimator(options.gaze_estimator)
-    return optional(left_out, "gaze by the estimator", load_gaze_estimator)
+        return load_view_reader(options.gaze_estimator)
+    return optional(left_out, "gaze by the estimator", load_view_reader)
 
 
 def optional(left_out: dict[str, str], name: str, make: Callable[[], T]) -> T | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import cv2
 import numpy as np
@@ -17,13 +17,14 @@ from gazenerf.evaluation.frechet import Features
 from gazenerf.evaluation.identity import Embedding, landmarks
 from gazenerf.evaluation.rows import Rows, packed
 from gazenerf.field.model import TwoStreamField
-from gazenerf.geometry import Camera, Gaze
+from gazenerf.geometry import Gaze
 from gazenerf.geometry.labels import unit_direction
 from gazenerf.head_model.interface import HeadModel
 from gazenerf.heads import Head
 from gazenerf.heads.cutouts import over, render_cut_out
 from gazenerf.image_metrics import psnr, ssim
 from gazenerf.subjects import Codes, Subject
+from gazenerf.training.estimators import ViewReader
 
 WHITE, BLACK = (255, 255, 255), (0, 0, 0)
 
@@ -50,19 +51,6 @@ people.
 
 EMBEDDING = "embedding"
 """Name in a row of the target's packed embedding; features are under `features_names`."""
-
-
-class ViewReader(Protocol):
-    """An estimator of gaze and head pose."""
-
-    def read_views(self, images: torch.Tensor, camera: Camera) -> tuple[torch.Tensor, torch.Tensor]:
-        """Gaze (B, 2) radians and direction from the head to the camera (B, 3), head frame.
-
-        Args:
-            images: (B, 3, H, W) sRGB in [0, 1] on black.
-            camera: That took all of them.
-        """
-        ...
 
 
 @dataclass(frozen=True)
@@ -134,7 +122,7 @@ def measure_redirection(
         row = _quality(over(made, WHITE), over(truth, WHITE), instruments)
         if instruments.estimator is not None:
             pictures = as_batch(over(made, BLACK), over(truth, BLACK))
-            row |= _directions(item.target, *instruments.estimator.read_views(pictures, item.target.camera))
+            row |= _directions(item.target, pictures, instruments.estimator)
     return [row | _identity(item, over(made, WHITE), over(truth, WHITE), instruments)]
 
 
@@ -198,8 +186,9 @@ def _averaged_down(pictures: torch.Tensor) -> list[np.ndarray]:
     return [picture.permute(1, 2, 0).numpy() for picture in small]
 
 
-def _directions(target: Capture, gaze: torch.Tensor, towards: torch.Tensor) -> dict[str, float]:
-    """Angles between readings of the redirected picture (first), of the target's, and the target's labels."""
+def _directions(target: Capture, pictures: torch.Tensor, estimator: ViewReader) -> dict[str, float]:
+    """Angles between readings of the redirected picture (first), of the target's, and, where known, the labels."""
+    gaze, towards = estimator.read_views(pictures, target.camera)
     gazes = [Gaze(*map(float, angles)).vector() for angles in gaze]
     heads = list(towards.numpy().astype(np.float64))
     row: dict[str, float] = {}
@@ -208,8 +197,9 @@ def _directions(target: Capture, gaze: torch.Tensor, towards: torch.Tensor) -> d
         ("head", heads, target.camera.position),
     ):
         row[f"{name}_deg"] = degrees_between(made, truth)
-        row[f"{name}_label_deg"] = degrees_between(made, label)
-        row[f"{name}_estimator_deg"] = degrees_between(truth, label)
+        if estimator.knows_labels:
+            row[f"{name}_label_deg"] = degrees_between(made, label)
+            row[f"{name}_estimator_deg"] = degrees_between(truth, label)
     return row
 
 

@@ -27,8 +27,8 @@ KIND = TensorFileKind(
     "gaze estimator",
     FORMAT,
     MAX_BYTES,
-    absent="train one with scripts/train_gaze_estimator.py",
-    foreign="train one with scripts/train_gaze_estimator.py",
+    absent="train one with `gazenerf train-estimator --network small`",
+    foreign="train one with `gazenerf train-estimator --network small`",
 )
 
 INPUT = 256
@@ -67,7 +67,10 @@ class GazeEstimator(nn.Module):
 
     Attributes:
         about: Training data and held-out error, JSON-able.
+        knows_labels: Its angles are those of captures.
     """
+
+    knows_labels = True
 
     def __init__(self) -> None:
         super().__init__()

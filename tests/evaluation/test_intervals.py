@@ -42,6 +42,6 @@ def test_the_same_values_give_the_same_interval():
 
 def test_the_jackknife_of_a_mean_is_the_t_interval():
     values = np.array([1.0, 4.0, 2.0, 7.0])
-    made = jackknifed(values.mean(), [np.delete(values, i).mean() for i in range(4)])
+    made = jackknifed(values.mean(), [np.delete(values, i).mean() for i in range(4)], 4)
     assert (made.low, made.high) == pytest.approx((over_subjects(list(values)).low, over_subjects(list(values)).high))
-    assert made.method == "jackknife" and jackknifed(3.0, [2.0]).low is None
+    assert made.method == "jackknife" and jackknifed(3.0, [2.0], 2).low is None

@@ -48,6 +48,8 @@ class Brighter:
 class Reader:
     """Reads a gaze that is 3 degrees off in the first picture, and a head that is 2 degrees off in the second."""
 
+    knows_labels = True
+
     def read_views(self, images, camera):
         assert images.shape == (2, 3, SIZE, SIZE) and float(images[:, :, 0, 0].abs().max()) == 0.0, "on black"
         gaze = torch.tensor([[0.05 + np.deg2rad(3.0), 0.0], [0.05, 0.0]])
@@ -92,6 +94,16 @@ def test_known_errors_come_out_as_they_are(item, monkeypatch):
     (codes, gaze) = asked[0]
     assert gaze == item.target.gaze
     assert (codes.texture == 10).all() and (codes.expression == 4).all() and (codes.illumination == 4).all()
+
+
+def test_published_estimators_are_compared_with_themselves_alone(item, monkeypatch):
+    bind(monkeypatch, Brighter())
+
+    class Published(Reader):
+        knows_labels = False
+
+    (row,) = measure_redirection(None, item, PaperInstruments(Published()))
+    assert set(row) == {"gaze_deg", "head_deg", "ssim", "psnr"} and row["gaze_deg"] == pytest.approx(3.0, abs=1e-3)
 
 
 def test_identity_comes_from_the_source():
