@@ -6,7 +6,6 @@ detector decides which turned heads count.
 
 from __future__ import annotations
 
-import hashlib
 import importlib
 import importlib.util
 from collections.abc import Callable
@@ -17,6 +16,7 @@ import cv2
 import numpy as np
 from skimage.transform import estimate_transform
 
+from gazenerf.checkpoints import weights_hash
 from gazenerf.data.captures import Capture
 from gazenerf.errors import UserError
 from gazenerf.files import check_name
@@ -50,11 +50,7 @@ def identity_name(path: Path | None) -> str:
     """
     if path is None:
         return DLIB_NAME
-    try:
-        with _onnx_file(path).open("rb") as file:
-            return f"{path.name} ({hashlib.file_digest(file, 'sha256').hexdigest()[:16]})"
-    except OSError as error:
-        raise UserError(f"cannot read {path}: {error.strerror or error}") from error
+    return f"{path.name} ({weights_hash(_onnx_file(path))})"
 
 
 def load_identity(path: Path | None = None) -> Embedding:

@@ -27,6 +27,7 @@ from gazenerf.files import whole_file
 from gazenerf.geometry.labels import check_radians
 from gazenerf.head_model import load_head_model
 from gazenerf.progress import Progress, silent
+from gazenerf.training.estimators import estimator_name
 from gazenerf.training.perceptual import load_lpips
 
 CODES = {"identity": "source", "texture": "source", "expression": "target", "illumination": "target"}
@@ -110,8 +111,11 @@ def evaluate_redirection(
     model, captures = opened(options, where)
     pairs = chosen_pairs(options, captures)
     items = [_item(pair, captures) for pair in pairs.first(options.limit)]
-    identity = identity_name(options.identity_model)
-    by = {"pairs": pairs.hash, "identity": identity}
+    by = {
+        "estimator": estimator_name(options.gaze_estimator),
+        "identity_model": identity_name(options.identity_model),
+        "pairs": pairs.hash,
+    }
     made = MadeRows.beside(options.out, asked(options, model, captures) | by)
     failures = measure_missing(Redirecting(where.placed(options), model.weights_hash), items, where, made, progress)
     rows = [(item.person, row) for item in items for row in made.rows.get(item.name, ())]
@@ -124,7 +128,8 @@ def evaluate_redirection(
         "pairs": {"file": str(options.pairs), "hash": pairs.hash, "data": pairs.data, "seed": pairs.seed,
                   "measured": len(rows)},
         "codes": CODES,
-        "identity_model": identity if "identity_similarity" in measurements else None,
+        "estimator": by["estimator"] if "gaze_deg" in measurements else None,
+        "identity_model": by["identity_model"] if "identity_similarity" in measurements else None,
         "units": UNITS,
         "measurements": {name: estimate.to_dict() for name, estimate in measurements.items()},
         "subjects": subjects,

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 
-from gazenerf.data.captures import Capture
-from gazenerf.data.storage import read_manifest, read_shard
+from gazenerf.data.storage import read_manifest
 from gazenerf.devices import choose_device
 from gazenerf.errors import UserError
 from gazenerf.files import whole_file
-from gazenerf.geometry.labels import check_radians, unit_direction
 from gazenerf.head_model import load_head_model
 from gazenerf.options import option
 from gazenerf.progress import Progress, silent
 from gazenerf.training.estimator_loop import EpochSettings, labels_hash, train_epochs
+from gazenerf.training.estimator_shards import checked, person_of, shards_of, split_shards
 from gazenerf.training.gaze_estimator import save_gaze_estimator
 from gazenerf.training.gaze_training import EstimatorData, train_gaze_estimator
 from gazenerf.training.pose_estimator import PoseEstimator, save_pose_estimator, start_from
@@ -181,54 +179,3 @@ def _train_resnet(run: _Run) -> dict[str, Any]:
     estimator.about = {"training": trained, "held_out": found, **run.about}
     save_pose_estimator(estimator, run.options.out)
     return estimator.about
-
-
-def person_of(shard: Path) -> str:
-    """The part of a shard's name that is one person's."""
-    return shard.name.split("-view")[0]
-
-
-def shards_of(folder: Path) -> list[Path]:
-    """The shards of a folder of captures.
-
-    Raises:
-        UserError: there is none.
-    """
-    shards = sorted(folder.glob("person-*.npz"))
-    if not shards:
-        raise UserError(f"no captures in {folder}; make some with `gazenerf synthesize --out {folder}`")
-    return shards
-
-
-def split_shards(folder: Path, held_out: int) -> tuple[list[Path], list[Path]]:
-    """The shards of people to learn from, and those of the last people, who are held out.
-
-    Raises:
-        UserError: nobody is left to learn from.
-    """
-    shards = shards_of(folder)
-    people = sorted({person_of(path) for path in shards})
-    kept = set(people[max(0, len(people) - held_out) :])
-    learned = [path for path in shards if person_of(path) not in kept]
-    if not learned:
-        raise UserError(
-            f"{folder} holds {len(people)} people and --held-out is {held_out}; nobody is left to learn from"
-        )
-    return learned, [path for path in shards if person_of(path) in kept]
-
-
-def checked(shards: Sequence[Path]) -> Iterator[Capture]:
-    """Captures, shard by shard.
-
-    Raises:
-        UserError: a gaze that cannot be radians, or a camera in the head's origin, from where no direction leads.
-    """
-    for shard in shards:
-        captures = read_shard(shard)
-        check_radians(np.array([[c.gaze.pitch, c.gaze.yaw] for c in captures]).reshape(-1, 2), f"a gaze in {shard}")
-        for capture in captures:
-            try:
-                unit_direction(capture.camera.position, "the direction to the camera")
-            except ValueError as error:
-                raise UserError(f"{shard}, view {capture.view}: {error}") from error
-            yield capture

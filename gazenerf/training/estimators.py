@@ -8,10 +8,11 @@ from typing import Protocol
 import torch
 from safetensors import SafetensorError, safe_open
 
+from gazenerf.checkpoints import weights_hash
 from gazenerf.errors import UserError
 from gazenerf.files import check_name
 from gazenerf.geometry import Camera
-from gazenerf.training.gaze_estimator import load_gaze_estimator
+from gazenerf.training.gaze_estimator import BUNDLED, load_gaze_estimator
 from gazenerf.training.pose_estimator import FORMAT as POSE_FORMAT
 from gazenerf.training.pose_estimator import import_pose_estimator, load_pose_estimator
 
@@ -42,12 +43,25 @@ def load_view_reader(path: Path | None = None) -> ViewReader:
     """
     if path is None:
         return load_gaze_estimator()
-    check_name(path)
-    if not path.is_file():
-        raise UserError(f"no gaze estimator at {path}; train one with `gazenerf train-estimator`")
     try:
-        with safe_open(path, framework="pt") as file:
+        with safe_open(_there(path), framework="pt") as file:
             kind = (file.metadata() or {}).get("format")
     except (SafetensorError, OSError):
         return import_pose_estimator(path)
     return load_pose_estimator(path) if kind == POSE_FORMAT else load_gaze_estimator(path)
+
+
+def estimator_name(path: Path | None) -> str:
+    """What tells which estimator an angle is of.
+
+    Raises:
+        UserError: the file is not there.
+    """
+    return f"{'bundled' if path is None else path.name} ({weights_hash(BUNDLED if path is None else _there(path))})"
+
+
+def _there(path: Path) -> Path:
+    check_name(path)
+    if not path.is_file():
+        raise UserError(f"no gaze estimator at {path}; train one with `gazenerf train-estimator`")
+    return path

@@ -14,7 +14,8 @@ from gazenerf.data.storage import read_shard, write_manifest, write_shard
 from gazenerf.errors import UserError
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.training import estimator_run
-from gazenerf.training.estimator_run import EstimatorOptions, checked, split_shards, train_estimator
+from gazenerf.training.estimator_run import EstimatorOptions, train_estimator
+from gazenerf.training.estimator_shards import checked, split_shards
 from gazenerf.training.estimators import load_view_reader
 from gazenerf.training.gaze_estimator import GazeEstimator
 from gazenerf.training.pose_estimator import PoseEstimator

@@ -13,7 +13,7 @@ from safetensors.torch import save_file
 from gazenerf.errors import UserError
 from gazenerf.geometry import Camera
 from gazenerf.training.estimator_loop import EpochSettings, train_epochs
-from gazenerf.training.estimators import load_view_reader
+from gazenerf.training.estimators import estimator_name, load_view_reader
 from gazenerf.training.gaze_estimator import GazeEstimator, save_gaze_estimator
 from gazenerf.training.losses import gaze_vectors
 from gazenerf.training.pose_estimator import (
@@ -66,6 +66,12 @@ def test_the_small_network_is_read_by_the_same_name(tmp_path: Path):
     gaze, towards = reader.read_views(torch.rand(1, 3, 64, 64), Camera.neutral(64))
     assert gaze.shape == (1, 2) and towards.shape == (1, 3)
     assert isinstance(load_view_reader(), GazeEstimator)
+    assert estimator_name(tmp_path / "s.safetensors").startswith("s.safetensors (")
+    assert estimator_name(None).startswith("bundled (") and estimator_name(None) != estimator_name(
+        tmp_path / "s.safetensors"
+    )
+    with pytest.raises(UserError, match="no gaze estimator at"):
+        estimator_name(tmp_path / "none.safetensors")
 
 
 @pytest.mark.parametrize("flat", [True, False])
