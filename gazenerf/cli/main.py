@@ -34,6 +34,7 @@ COMMANDS = {
     "synthesize": "render captures of synthetic people to train on",
     "prepare": "make captures of a published gaze data set to train on",
     "train": "train a field on captures",
+    "train-estimator": "train an estimator of gaze and head pose on captures, for evaluate",
     "evaluate": "measure a field on views, gazes and people it has not seen",
     "import-checkpoint": "convert a published checkpoint without executing it",
     "subjects": "list the bundled subjects",

@@ -18,15 +18,18 @@ from gazenerf.errors import UserError
 from gazenerf.evaluation.quality import Instruments, Measurement, measure
 from gazenerf.evaluation.rows import Rows
 from gazenerf.execution import Tell
+from gazenerf.field.model import TwoStreamField
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model import load_head_model
 from gazenerf.options import option
 from gazenerf.subjects import Codes
-from gazenerf.training.gaze_estimator import load_gaze_estimator
+from gazenerf.training.estimators import ViewReader, load_view_reader
 from gazenerf.training.perceptual import load_lpips
 from gazenerf.training.runtime import fast_bfloat16
 
 T = TypeVar("T")
+
+PROTOCOLS = ("captures", "paper")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,8 +41,13 @@ class EvaluateOptions:
         out: JSON report.
         checkpoint: Field to measure, a bundled name or a file; `portrait-sdf` by default.
         held_out, held_out_views: As given to training.
-        limit: At most so many captures of each person, evenly spread.
+        limit: At most so many captures of each person, evenly spread; of protocol `paper` at most so many pairs.
+        protocol: `captures` renders what was kept out of training again (`gazenerf.evaluation.run`), `paper` redirects
+            one capture of a person to another (`gazenerf.evaluation.paper`).
+        pairs: Of protocol `paper`, which captures are redirected to which; drawn and written where it is not there.
+        seed: Pairs are drawn with.
         gaze_estimator: Reads gazes off pictures; the bundled one by default.
+        identity_model: Of protocol `paper`, tells people apart; see `gazenerf.evaluation.identity`.
         iris: Measure gaze by iris triangulation.
         device: Where the field is computed; everything else is measured on the CPU.
         precision: Of the field's matrix products.
@@ -52,8 +60,21 @@ class EvaluateOptions:
     )
     held_out: int = option(1, "as given to `gazenerf train`", metavar="N")
     held_out_views: float = option(0.05, "as given to train", metavar="SHARE")
-    limit: int | None = option(None, "at most N captures of each person, evenly spread", metavar="N")
-    gaze_estimator: Path | None = option(None, "default: bundled", metavar="FILE")
+    limit: int | None = option(None, "at most N captures, or pairs, of each person", metavar="N")
+    protocol: str = option(
+        "captures",
+        "captures: render what was held out again; paper: redirect captures of held-out people to others of theirs "
+        "(docs/evaluation.md; default: captures)",
+        choices=PROTOCOLS,
+    )
+    pairs: Path | None = option(None, "of --protocol paper; is drawn and written where it is not there", metavar="FILE")
+    seed: int = option(0, "of pairs that are drawn (default: 0)", metavar="S")
+    gaze_estimator: Path | None = option(
+        None, "from `gazenerf train-estimator`, or of --protocol paper published (default: bundled)", metavar="FILE"
+    )
+    identity_model: Path | None = option(
+        None, "of --protocol paper: ArcFace network in ONNX (default: dlib's, where it is installed)", metavar="FILE"
+    )
     iris: bool = option(True, "skip gaze by iris triangulation", flag="--no-iris")
     device: str = option("auto", "where the field is computed: cpu, cuda, or auto (default: auto)", metavar="DEVICE")
     precision: str = option(
@@ -77,16 +98,26 @@ class Measuring:
     @contextlib.contextmanager
     def opened(self) -> Iterator[Callable[[Measurement, Tell], tuple[Rows, dict[str, str]]]]:
         """Load the field and what measures."""
-        options, left_out = self.options, dict[str, str]()
-        device = choose_device(options.device)
-        precision = chosen_precision(options, device)
-        product_dtype(precision, device)
-        model, head_model = load_field(options.checkpoint).to(device), load_head_model()
-        if model.weights_hash != self.weights_hash:
-            raise UserError(f"{options.checkpoint or 'the bundled field'} is another field here; give it the same one")
+        options, left_out, head_model = self.options, dict[str, str](), load_head_model()
+        model, precision = open_field(options, self.weights_hash)
         with contextlib.ExitStack() as stack:
             instruments = _instruments(options, model.config.image_size, left_out, stack)
             yield lambda item, _: (measure(model, item, head_model, instruments, precision), left_out)
+
+
+def open_field(options: EvaluateOptions, weights_hash: str) -> tuple[TwoStreamField, str]:
+    """The field that is measured, where it is computed, and the precision of its products.
+
+    Raises:
+        UserError: it cannot be read, is another one here, or there is no such device or precision.
+    """
+    device = choose_device(options.device)
+    precision = chosen_precision(options, device)
+    product_dtype(precision, device)
+    model = load_field(options.checkpoint).to(device)
+    if model.weights_hash != weights_hash:
+        raise UserError(f"{options.checkpoint or 'the bundled field'} is another field here; give it the same one")
+    return model, precision
 
 
 def chosen_precision(options: EvaluateOptions, device: torch.device) -> str:
@@ -102,21 +133,36 @@ def _instruments(
     options: EvaluateOptions, size: int, left_out: dict[str, str], stack: contextlib.ExitStack
 ) -> Instruments:
     """What can measure here; why something cannot is put into `left_out`."""
+    reader = gaze_reader(options, left_out)
+    if reader is not None and not reader.knows_labels:
+        raise UserError(
+            f"{options.gaze_estimator} holds published weights, whose angles are their own; only --protocol paper, "
+            "which compares two readings, takes them"
+        )
+    lpips = optional(left_out, "LPIPS", load_lpips)
+    reference = optional(left_out, "the iris reference", lambda: _reference(size, stack)) if options.iris else None
+    estimate = None if reader is None else lambda images, camera: reader.read_views(images, camera)[0]
+    return Instruments(estimate, lpips, reference)
 
-    def optional(name: str, make: Callable[[], T]) -> T | None:
-        try:
-            return make()
-        except UserError as error:
-            left_out[name] = str(error)
-            return None
 
+def gaze_reader(options: EvaluateOptions, left_out: dict[str, str]) -> ViewReader | None:
+    """The estimator that was asked for, or the bundled one; None where there is none.
+
+    Raises:
+        UserError: the one that was asked for cannot be read.
+    """
     if options.gaze_estimator is not None:
-        estimator = load_gaze_estimator(options.gaze_estimator)
-    else:
-        estimator = optional("gaze by the estimator", load_gaze_estimator)
-    lpips = optional("LPIPS", load_lpips)
-    reference = optional("the iris reference", lambda: _reference(size, stack)) if options.iris else None
-    return Instruments(estimator, lpips, reference)
+        return load_view_reader(options.gaze_estimator)
+    return optional(left_out, "gaze by the estimator", load_view_reader)
+
+
+def optional(left_out: dict[str, str], name: str, make: Callable[[], T]) -> T | None:
+    """What is made, or None, where the reason is put into `left_out`."""
+    try:
+        return make()
+    except UserError as error:
+        left_out[name] = str(error)
+        return None
 
 
 def _reference(size: int, stack: contextlib.ExitStack) -> Callable[[Codes, Gaze, Camera], np.ndarray]:

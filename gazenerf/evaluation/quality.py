@@ -60,12 +60,12 @@ class Instruments:
     """What measures, beyond plain pictures. None leaves a measurement out.
 
     Attributes:
-        estimate_gaze: Pictures (B, 3, H, W) in [0, 1] to gaze (B, 2), radians.
+        estimate_gaze: Pictures (B, 3, H, W) in [0, 1] on black and the camera of all to gaze (B, 2), radians.
         lpips: Two such batches to distances (B,).
         draw_reference: (codes, gaze, camera) to the head model's own picture (H, W, 3) in [0, 1].
     """
 
-    estimate_gaze: Callable[[torch.Tensor], torch.Tensor] | None = None
+    estimate_gaze: Callable[[torch.Tensor, Camera], torch.Tensor] | None = None
     lpips: Callable[[torch.Tensor, torch.Tensor], torch.Tensor] | None = None
     draw_reference: Callable[[Codes, Gaze, Camera], np.ndarray] | None = None
 
@@ -200,7 +200,7 @@ def evaluate_capture(
         if instruments.lpips is not None:
             row["lpips"] = float(instruments.lpips(pair[:1], pair[1:]))
         if instruments.estimate_gaze is not None and float(capture.eyes_mask.mean()) >= VISIBLE_SHARE:
-            read = [Gaze(*map(float, angles)) for angles in instruments.estimate_gaze(pair)]
+            read = [Gaze(*map(float, angles)) for angles in instruments.estimate_gaze(pair, capture.camera)]
             row["gaze_commanded_deg"] = float(np.rad2deg(read[0].angle_to(capture.gaze)))
             row["gaze_capture_deg"] = float(np.rad2deg(read[1].angle_to(capture.gaze)))
             row["gaze_difference_deg"] = float(np.rad2deg(read[0].angle_to(read[1])))

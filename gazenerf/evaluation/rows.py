@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
+import base64
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from gazenerf.errors import UserError
 from gazenerf.files import parse_json, whole_file
 
 MAX_BYTES = 2**30
 
-Rows = list[dict[str, float]]
+Rows = list[dict[str, Any]]
+"""Name to number; vectors are `packed`."""
+
+
+def packed(vector: np.ndarray) -> str:
+    """A vector (D,) as text, float32."""
+    return base64.b64encode(np.ascontiguousarray(vector, "<f4").tobytes()).decode()
+
+
+def unpacked(text: str) -> np.ndarray:
+    """(D,) float32: what `packed` packed."""
+    return np.frombuffer(base64.b64decode(text), "<f4")
 
 
 @dataclass

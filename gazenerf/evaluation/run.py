@@ -3,35 +3,23 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gazenerf import __version__
-from gazenerf.checkpoints import load_field
 from gazenerf.data import CaptureSet
 from gazenerf.data.captures import Capture
-from gazenerf.devices import choose_device, product_dtype
 from gazenerf.errors import UserError
-from gazenerf.evaluation.measuring import EvaluateOptions, Measuring, chosen_precision
-from gazenerf.evaluation.quality import (
-    IRIS_GAZES,
-    UNITS,
-    Measurement,
-    measurements,
-    summarised,
-)
+from gazenerf.evaluation.measuring import EvaluateOptions, Measuring
+from gazenerf.evaluation.quality import IRIS_GAZES, UNITS, measurements, summarised
 from gazenerf.evaluation.rows import MadeRows
-from gazenerf.execution import Failures, Where, results
+from gazenerf.evaluation.steps import asked, held_out_people, measure_missing, opened
+from gazenerf.execution import Where
 from gazenerf.execution.job import reason
-from gazenerf.field.model import TwoStreamField
 from gazenerf.files import whole_file
-from gazenerf.options import plain
-from gazenerf.progress import Progress, advancing, silent
+from gazenerf.progress import Progress, silent
 from gazenerf.training.split import split_captures
 
 
@@ -73,21 +61,15 @@ def evaluate(
         UserError: nothing is held out, captures of other code sizes, files that cannot be read, no such device or
             precision, processes died, a cluster is not there, or many captures cannot be measured.
     """
-    if options.limit is not None and options.limit < 1:
-        raise UserError(f"--limit must be at least 1, got {options.limit}")
+    if options.pairs is not None:
+        raise UserError("--pairs is for --protocol paper; leave it out")
     where = Where(workers, scheduler)
-    if scheduler is None:
-        product_dtype(chosen_precision(options, device := choose_device(options.device)), device)
-    model, captures = load_field(options.checkpoint), CaptureSet(options.data)
-    people = captures.people
-    unseen = set(people[len(people) - options.held_out :]) if options.held_out > 0 else set()
-    chosen = held_out_captures(captures, options)
-    if chosen[0].codes.sizes != model.config.code_sizes:
-        raise UserError(f"the captures' codes are {chosen[0].codes.sizes}, the field takes {model.config.code_sizes}")
-    items = measurements(chosen, IRIS_GAZES if options.iris else ())
-    made = MadeRows.beside(options.out, _asked(options, model, captures))
+    model, captures = opened(options, where)
+    unseen = set(held_out_people(captures, options))
+    items = measurements(held_out_captures(captures, options), IRIS_GAZES if options.iris else ())
+    made = MadeRows.beside(options.out, asked(options, model, captures))
     job = Measuring(where.placed(options), model.weights_hash)
-    failures = _measure(job, items, where, made, progress)
+    failures = measure_missing(job, items, where, made, progress)
     about = {
         "weights_hash": model.weights_hash,
         "field": model.about,
@@ -104,39 +86,6 @@ def evaluate(
         made.path.unlink()
     groups = {name: report[name] for name in ("all", "trained", "unseen")}
     return Evaluation(options.out, groups, report["people"], about["left_out"], about["failed"])
-
-
-def _asked(options: EvaluateOptions, model: TwoStreamField, captures: CaptureSet) -> dict[str, Any]:
-    """What rows depend on beside the captures that are chosen."""
-    names = "data", "gaze_estimator", "iris", "device", "precision"
-    return {
-        "version": __version__,
-        "weights_hash": model.weights_hash,
-        "captures": captures.manifest,
-        **{name: plain(getattr(options, name)) for name in names},
-    }
-
-
-def _measure(
-    job: Measuring, items: Sequence[Measurement], where: Where, made: MadeRows, progress: Progress
-) -> Failures:
-    """Measure what is not measured yet.
-
-    Raises:
-        UserError: many measurements fail, or all, or the place is gone.
-    """
-    left = [item for item in items if item.name not in made.rows]
-    advance = advancing(progress, "measuring", len(items) - len(left), len(items))
-    failures = Failures("measurement", "measurements", "goes on")
-    with closing(results(job, left, where, advance=advance)) as every:
-        for done in every:
-            if done.error is None:
-                made.add(done.item.name, *done.result)
-            elif failures.add(done.item.name, done.error):
-                failures.refuse()
-    if not made.rows:
-        failures.refuse()
-    return failures
 
 
 def held_out_captures(captures: CaptureSet, options: EvaluateOptions) -> list[Capture]:

@@ -17,6 +17,7 @@ from torch import nn
 from torch.nn import functional as F
 
 from gazenerf.files import parse_json, whole_file
+from gazenerf.geometry import Camera
 from gazenerf.tensor_files import TensorFileKind, open_tensors
 
 FORMAT = "gazenerf-gaze-estimator-1"
@@ -26,8 +27,8 @@ KIND = TensorFileKind(
     "gaze estimator",
     FORMAT,
     MAX_BYTES,
-    absent="train one with scripts/train_gaze_estimator.py",
-    foreign="train one with scripts/train_gaze_estimator.py",
+    absent="train one with `gazenerf train-estimator --network small`",
+    foreign="train one with `gazenerf train-estimator --network small`",
 )
 
 INPUT = 256
@@ -66,7 +67,10 @@ class GazeEstimator(nn.Module):
 
     Attributes:
         about: Training data and held-out error, JSON-able.
+        knows_labels: Its angles are those of captures.
     """
+
+    knows_labels = True
 
     def __init__(self) -> None:
         super().__init__()
@@ -102,6 +106,14 @@ class GazeEstimator(nn.Module):
         looked_at = found.detach() if eyes is None else eyes
         windows = torch.stack([eye_window(images, looked_at[:, i]) for i in (0, 1)], dim=1)
         return self.read_windows(small, windows, (whole, placed))
+
+    def read_views(self, images: torch.Tensor, camera: Camera) -> tuple[torch.Tensor, torch.Tensor]:
+        """Gaze (B, 2) and direction to the camera (B, 3), see `Reading`, of pictures (B, 3, H, W) from one camera.
+
+        This network finds the head itself and does not look at the camera.
+        """
+        reading = self.read(images)
+        return reading.gaze, reading.towards
 
     def read_windows(
         self, small: torch.Tensor, windows: torch.Tensor, known: tuple[torch.Tensor, torch.Tensor] | None = None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,7 @@ from torch.nn import functional as F
 
 from gazenerf.data.captures import Capture
 from gazenerf.errors import UserError
-from gazenerf.files import whole_file
+from gazenerf.training.estimator_loop import EpochSettings, labels_hash, train_epochs
 from gazenerf.training.gaze_estimator import INPUT, OVERVIEW, WINDOW, GazeEstimator, eye_window
 from gazenerf.training.losses import angular_error, gaze_vectors
 
@@ -23,6 +22,9 @@ VISIBLE_SHARE = 2e-4
 
 JITTER = 5
 """Whole pixels of the resized picture by which training moves the eye windows, at most."""
+
+MEASURE_EVERY = 10
+"""Epochs between two measurements on held-out pictures."""
 
 
 @dataclass(frozen=True)
@@ -84,14 +86,25 @@ def readable(capture: Capture) -> bool:
 
 def gaze_errors(estimator: GazeEstimator, data: EstimatorData, batch: int = 64) -> np.ndarray:
     """(N,) angle in degrees between what the estimator reads and the truth."""
+    return _errors(estimator, data, batch)[0]
+
+
+def errors_of(estimator: GazeEstimator, data: EstimatorData, batch: int = 64) -> dict[str, Any]:
+    """`error_summary` of the gaze, and under `head` that of the direction to the camera."""
+    gaze, head = _errors(estimator, data, batch)
+    return {**error_summary(gaze), "head": error_summary(head)}
+
+
+def _errors(estimator: GazeEstimator, data: EstimatorData, batch: int) -> tuple[np.ndarray, np.ndarray]:
     estimator.eval()
-    found = []
+    gaze, head = [], []
     with torch.no_grad():
         for first in range(0, len(data), batch):
             rows = slice(first, first + batch)
-            read = estimator(data.images[rows].float() / 255.0)
-            found.append(torch.rad2deg(angular_error(gaze_vectors(read), gaze_vectors(data.gaze[rows]))))
-    return torch.cat(found).numpy()
+            read = estimator.read(data.images[rows].float() / 255.0)
+            gaze.append(angular_error(gaze_vectors(read.gaze), gaze_vectors(data.gaze[rows])))
+            head.append(angular_error(read.towards, data.towards[rows]))
+    return torch.rad2deg(torch.cat(gaze)).numpy(), torch.rad2deg(torch.cat(head)).numpy()
 
 
 def error_summary(errors: np.ndarray) -> dict[str, float]:
@@ -114,7 +127,8 @@ def train_gaze_estimator(
     seed: int = 0,
     state: str | Path | None = None,
     about: dict[str, Any] | None = None,
-    on_epoch: Callable[[int, float, dict[str, dict[str, float]]], None] | None = None,
+    on_step: Callable[[int], None] = lambda _: None,
+    on_epoch: Callable[[int, float, dict[str, dict[str, Any]]], None] | None = None,
 ) -> GazeEstimator:
     """Train from scratch, or from `state` when that file is there.
 
@@ -123,76 +137,39 @@ def train_gaze_estimator(
         held_out: Named sets that are only measured; their errors go into `about`.
         epochs, batch, learning_rate: Of AdamW with a cosine schedule.
         state: Written after every epoch, to resume from.
+        on_step: Called with the steps that are done.
         on_epoch: Called with (epochs done, mean loss, errors so far); errors are measured every tenth epoch.
 
     Raises:
         UserError: the state file belongs to another run or is damaged, or the loss is not finite.
     """
     torch.manual_seed(seed)
-    estimator = GazeEstimator()
-    optimizer = torch.optim.AdamW(estimator.parameters(), lr=learning_rate, weight_decay=1e-3)
-    first = 0
-    run = {"epochs": epochs, "batch": batch, "learning_rate": learning_rate, "seed": seed, "pictures": len(data)}
-    if state is not None and Path(state).is_file():
-        try:
-            saved = torch.load(state, map_location="cpu", weights_only=True)
-            if saved["run"] != run:
-                raise UserError(f"{state} belongs to another run; delete it or repeat that run's settings")
-            estimator.load_state_dict(saved["estimator"])
-            optimizer.load_state_dict(saved["optimizer"])
-            first = int(saved["epoch"])
-        except UserError:
-            raise
-        except Exception as error:
-            raise UserError(f"cannot resume from {state}: {error}; delete it") from error
-    cuts = _Cuts.of(data)
-    steps = math.ceil(len(data) / batch)
-    errors: dict[str, dict[str, float]] = {}
-    for epoch in range(first, epochs):
-        estimator.train()
-        torch.manual_seed(seed * 7919 + epoch + 1)
-        order = torch.randperm(len(data))
-        losses = []
-        for step in range(steps):
-            rows = order[step * batch : (step + 1) * batch]
-            if len(rows) < 2:
-                continue
-            share = (epoch + step / steps) / epochs
-            for group in optimizer.param_groups:
-                warm = min(1.0, (epoch * steps + step + 1) / 50)
-                group["lr"] = learning_rate * warm * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * share)))
-            small, windows, gaze, eyes, towards = _augmented(data, cuts, rows)
-            read = estimator.read_windows(small, windows)
-            loss = (
-                angular_error(gaze_vectors(read.gaze), gaze_vectors(gaze)).mean()
-                + 2.0 * (read.eyes - eyes).abs().mean()
-                + 0.2 * angular_error(read.towards, towards).mean()
-            )
-            if not torch.isfinite(loss):
-                raise UserError(f"the loss is not finite in epoch {epoch + 1}; lower the learning rate")
-            optimizer.zero_grad(set_to_none=True)
-            loss.backward()
-            torch.nn.utils.clip_grad_norm_(estimator.parameters(), 2.0)
-            optimizer.step()
-            losses.append(float(loss.detach()))
-        if state is not None:
-            with whole_file(state) as temporary:
-                torch.save(
-                    {
-                        "estimator": estimator.state_dict(),
-                        "optimizer": optimizer.state_dict(),
-                        "epoch": epoch + 1,
-                        "run": run,
-                    },
-                    temporary,
-                )
-        if (epoch + 1) % 10 == 0 and epoch + 1 < epochs:
-            errors = {name: error_summary(gaze_errors(estimator, rest)) for name, rest in held_out.items()}
+    estimator, cuts = GazeEstimator(), _Cuts.of(data)
+    errors: dict[str, dict[str, Any]] = {}
+
+    def loss_of(rows: torch.Tensor) -> torch.Tensor:
+        small, windows, gaze, eyes, towards = _augmented(data, cuts, rows)
+        read = estimator.read_windows(small, windows)
+        return (
+            angular_error(gaze_vectors(read.gaze), gaze_vectors(gaze)).mean()
+            + 2.0 * (read.eyes - eyes).abs().mean()
+            + 0.2 * angular_error(read.towards, towards).mean()
+        )
+
+    def after(epoch: int, loss: float) -> None:
+        if epoch % MEASURE_EVERY == 0 and epoch < epochs:
+            errors.update({name: errors_of(estimator, rest) for name, rest in held_out.items()})
         if on_epoch is not None:
-            on_epoch(epoch + 1, float(np.mean(losses)), errors)
-    errors = {name: error_summary(gaze_errors(estimator, rest)) for name, rest in held_out.items()}
-    estimator.about = {"training": run, "held_out": errors, **(about or {})}
-    return estimator.eval()
+            on_epoch(epoch, loss, errors)
+
+    settings = EpochSettings(epochs, batch, learning_rate, seed)
+    which = {"labels": labels_hash(data.gaze, data.towards)}
+    run = train_epochs(
+        estimator, loss_of, len(data), settings, about=which, state=state, on_step=on_step, on_epoch=after
+    )  # fmt: skip
+    found = {name: errors_of(estimator, rest) for name, rest in held_out.items()}
+    estimator.about = {"training": run, "held_out": found, **(about or {})}
+    return estimator
 
 
 @dataclass(frozen=True)

@@ -76,7 +76,7 @@ def test_known_errors_come_out_as_they_are(ball_mesh, monkeypatch):
     head_model = SimpleNamespace(mesh=lambda codes, gaze: ball_mesh)
     off = float(np.deg2rad(4.0))
 
-    def estimate(images: torch.Tensor) -> torch.Tensor:
+    def estimate(images: torch.Tensor, camera: Camera) -> torch.Tensor:
         bright = images.amax((1, 2, 3)) > 0.55
         return torch.stack([torch.full((len(images),), 0.1), 0.2 + off * bright.float()], dim=1)
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import pickle
+from contextlib import ExitStack
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -93,6 +95,15 @@ def test_jobs_pass_between_processes(captures: Path) -> None:
     items = measurements(CaptureSet(captures)[:1], [(0.0, 0.0)])
     there, (capture, iris) = pickle.loads(pickle.dumps((job, items)))
     assert there == job and (capture.capture.image == items[0].capture.image).all() and iris.name == items[1].name
+
+
+def test_published_estimators_are_for_the_paper_protocol_alone(captures: Path, monkeypatch) -> None:
+    from gazenerf.evaluation import measuring
+
+    monkeypatch.setattr(measuring, "load_view_reader", lambda path: SimpleNamespace(knows_labels=False))
+    options = EvaluateOptions(data=captures, out=Path("q.json"), gaze_estimator=Path("published.pth"), iris=False)
+    with ExitStack() as stack, pytest.raises(UserError, match="only --protocol paper"):
+        measuring._instruments(options, 64, {}, stack)
 
 
 def test_captures_of_another_head_model_are_refused(captures: Path, tmp_path: Path) -> None:
