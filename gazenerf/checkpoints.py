@@ -39,7 +39,8 @@ KIND = TensorFileKind(
     MAX_BYTES,
     absent="give --checkpoint portrait-sdf, portrait or small, which are bundled, or a .safetensors file from "
     "`gazenerf train`",
-    foreign="a published checkpoint is converted by `gazenerf import-checkpoint`",
+    foreign="a published checkpoint is converted by `gazenerf import-checkpoint`, and of a STED only "
+    "`gazenerf evaluate --protocol paper` makes pictures",
     fix="give a .safetensors file that gazenerf wrote",
 )
 

@@ -115,9 +115,18 @@ def open_field(options: EvaluateOptions, weights_hash: str) -> tuple[TwoStreamFi
     precision = chosen_precision(options, device)
     product_dtype(precision, device)
     model = load_field(options.checkpoint).to(device)
-    if model.weights_hash != weights_hash:
-        raise UserError(f"{options.checkpoint or 'the bundled field'} is another field here; give it the same one")
+    same_model(options, model.weights_hash, weights_hash)
     return model, precision
+
+
+def same_model(options: EvaluateOptions, here: str, wanted: str) -> None:
+    """Refuse weights that are not those that are measured elsewhere.
+
+    Raises:
+        UserError: the hashes differ.
+    """
+    if here != wanted:
+        raise UserError(f"{options.checkpoint or 'the bundled field'} is another one here; give it the same one")
 
 
 def chosen_precision(options: EvaluateOptions, device: torch.device) -> str:

@@ -15,10 +15,11 @@ from gazenerf.errors import UserError
 from gazenerf.evaluation.frechet import load_features
 from gazenerf.evaluation.identity import identity_name, load_identity
 from gazenerf.evaluation.intervals import Estimate
-from gazenerf.evaluation.measuring import EvaluateOptions, gaze_reader, open_field, optional
+from gazenerf.evaluation.measuring import EvaluateOptions, gaze_reader, optional
 from gazenerf.evaluation.pairs import Pair, Pairs, draw_pairs, load_pairs, save_pairs
 from gazenerf.evaluation.paper_summary import summarised
 from gazenerf.evaluation.redirection import UNITS, PaperInstruments, Redirection, measure_redirection
+from gazenerf.evaluation.redirectors import load_model, open_redirector
 from gazenerf.evaluation.rows import MadeRows, Rows
 from gazenerf.evaluation.steps import asked, held_out_people, measure_missing, opened
 from gazenerf.execution import Tell, Where
@@ -60,7 +61,7 @@ class Redirecting:
 
     Attributes:
         options: How.
-        weights_hash: Of the field.
+        weights_hash: Of the field or the STED.
     """
 
     options: EvaluateOptions
@@ -68,11 +69,11 @@ class Redirecting:
 
     @contextlib.contextmanager
     def opened(self) -> Iterator[Callable[[Redirection, Tell], tuple[Rows, dict[str, str]]]]:
-        """Load the field and what measures."""
+        """Load what redirects and what measures."""
         left_out: dict[str, str] = {}
-        model, precision = open_field(self.options, self.weights_hash)
+        redirector = open_redirector(self.options, self.weights_hash)
         instruments = _instruments(self.options, left_out)
-        yield lambda item, _: (measure_redirection(model, item, instruments, precision), left_out)
+        yield lambda item, _: (measure_redirection(redirector, item, instruments), left_out)
 
 
 def _instruments(options: EvaluateOptions, left_out: dict[str, str]) -> PaperInstruments:
@@ -108,7 +109,7 @@ def evaluate_redirection(
             what `evaluate` raises.
     """
     where = Where(workers, scheduler)
-    model, captures = opened(options, where)
+    model, captures = opened(options, where, load_model)
     pairs = chosen_pairs(options, captures)
     items = [_item(pair, captures) for pair in pairs.first(options.limit)]
     by = {

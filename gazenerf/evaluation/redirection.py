@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -15,15 +15,13 @@ from gazenerf.data.captures import Capture
 from gazenerf.errors import UserError
 from gazenerf.evaluation.frechet import Features
 from gazenerf.evaluation.identity import Embedding, landmarks
+from gazenerf.evaluation.redirectors import Redirector, redirected_codes
 from gazenerf.evaluation.rows import Rows, packed
-from gazenerf.field.model import TwoStreamField
 from gazenerf.geometry import Gaze
 from gazenerf.geometry.labels import unit_direction
 from gazenerf.head_model.interface import HeadModel
-from gazenerf.heads import Head
-from gazenerf.heads.cutouts import over, render_cut_out
+from gazenerf.heads.cutouts import over
 from gazenerf.image_metrics import psnr, ssim
-from gazenerf.subjects import Codes, Subject
 from gazenerf.training.estimators import ViewReader
 
 WHITE, BLACK = (255, 255, 255), (0, 0, 0)
@@ -89,35 +87,13 @@ class PaperInstruments:
     head_model: HeadModel | None = None
 
 
-def redirected_codes(source: Codes, target: Codes) -> Codes:
-    """The source's identity and texture, in the light and with the expression of the target.
-
-    What is redirected is gaze and head pose, so the rest of what the target shows is taken from it: the published
-    evaluation takes the target's illumination code, and has one expression for all.
-    """
-    return replace(target, identity=source.identity, texture=source.texture)
-
-
-def redirect(model: TwoStreamField, item: Redirection, precision: str = "auto") -> np.ndarray:
-    """The source with the target's gaze, from the target's camera.
-
-    Returns:
-        (H, W, 4) float32: sRGB times opacity, and opacity.
-    """
-    codes = redirected_codes(item.source.codes, item.target.codes)
-    bound = Head(model, Subject(f"person-{item.person}", codes, codes), precision=precision).at(item.target.gaze)
-    return render_cut_out(bound, item.target.camera).cutouts["head"]
-
-
-def measure_redirection(
-    model: TwoStreamField, item: Redirection, instruments: PaperInstruments, precision: str = "auto"
-) -> Rows:
+def measure_redirection(redirector: Redirector, item: Redirection, instruments: PaperInstruments) -> Rows:
     """One row: measurements by `UNITS`, the target's packed embedding, and packed features of both pictures.
 
     Raises:
         UserError: the estimator reads a direction without a length, or the embedding has none.
     """
-    made, truth = compared(redirect(model, item, precision), item.target)
+    made, truth = compared(redirector.redirect(item.source, item.target), item.target)
     with torch.no_grad():
         row = _quality(over(made, WHITE), over(truth, WHITE), instruments)
         if instruments.estimator is not None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from gazenerf.checkpoints import load_field
 from gazenerf.data import CaptureSet
 from gazenerf.data.captures import Capture
 from gazenerf.errors import UserError
@@ -64,7 +65,7 @@ def evaluate(
     if options.pairs is not None:
         raise UserError("--pairs is for --protocol paper; leave it out")
     where = Where(workers, scheduler)
-    model, captures = opened(options, where)
+    model, captures = opened(options, where, load_field)
     unseen = set(held_out_people(captures, options))
     items = measurements(held_out_captures(captures, options), IRIS_GAZES if options.iris else ())
     made = MadeRows.beside(options.out, asked(options, model, captures))

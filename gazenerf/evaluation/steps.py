@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
+from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from gazenerf import __version__
-from gazenerf.checkpoints import load_field
 from gazenerf.data import CaptureSet
 from gazenerf.devices import choose_device, product_dtype
 from gazenerf.errors import UserError
@@ -19,8 +19,23 @@ from gazenerf.options import plain
 from gazenerf.progress import Progress, advancing
 
 
-def opened(options: EvaluateOptions, where: Where) -> tuple[TwoStreamField, CaptureSet]:
-    """The field and the captures that it is measured on.
+class Measured(Protocol):
+    """Weights that are measured."""
+
+    weights_hash: str
+    about: dict[str, Any]
+
+
+Model = TypeVar("Model", bound=Measured)
+
+
+def opened(options: EvaluateOptions, where: Where, load: Callable[[Path | None], Model]) -> tuple[Model, CaptureSet]:
+    """What is measured, and the captures that it is measured on.
+
+    Args:
+        options: How.
+        where: It is measured.
+        load: Reads `options.checkpoint`.
 
     Raises:
         UserError: files that cannot be read, captures of other code sizes, or no such device, precision or limit.
@@ -29,8 +44,8 @@ def opened(options: EvaluateOptions, where: Where) -> tuple[TwoStreamField, Capt
         raise UserError(f"--limit must be at least 1, got {options.limit}")
     if where.scheduler is None:
         product_dtype(chosen_precision(options, device := choose_device(options.device)), device)
-    model, captures = load_field(options.checkpoint), CaptureSet(options.data)
-    if captures[0].codes.sizes != model.config.code_sizes:
+    model, captures = load(options.checkpoint), CaptureSet(options.data)
+    if isinstance(model, TwoStreamField) and captures[0].codes.sizes != model.config.code_sizes:
         raise UserError(f"the captures' codes are {captures[0].codes.sizes}, the field takes {model.config.code_sizes}")
     return model, captures
 
@@ -41,7 +56,7 @@ def held_out_people(captures: CaptureSet, options: EvaluateOptions) -> list[int]
     return people[len(people) - options.held_out :] if options.held_out > 0 else []
 
 
-def asked(options: EvaluateOptions, model: TwoStreamField, captures: CaptureSet) -> dict[str, Any]:
+def asked(options: EvaluateOptions, model: Measured, captures: CaptureSet) -> dict[str, Any]:
     """What rows depend on beside the captures that are chosen."""
     names = "data", "gaze_estimator", "iris", "device", "precision"
     return {

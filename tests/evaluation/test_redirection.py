@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,13 +20,15 @@ from gazenerf.evaluation.redirection import (
     degrees_between,
     features_names,
     measure_redirection,
-    redirected_codes,
 )
+from gazenerf.evaluation.redirectors import FieldRedirector, redirected_codes
 from gazenerf.evaluation.rows import unpacked
 from gazenerf.geometry import Gaze
 from gazenerf.heads.interface import GeometryView, RenderedView
 
 from .made_captures import SIZE, flat_capture
+
+BY_FIELD: Any = FieldRedirector(None, "auto")  # pyright: ignore[reportArgumentType] - heads are pretended
 
 
 class Brighter:
@@ -73,14 +76,14 @@ def bind(monkeypatch, bound) -> list:
     def head(model, subject, **options):
         return SimpleNamespace(at=lambda gaze: asked.append((subject.codes, gaze)) or bound)
 
-    monkeypatch.setattr("gazenerf.evaluation.redirection.Head", head)
+    monkeypatch.setattr("gazenerf.evaluation.redirectors.Head", head)
     return asked
 
 
 def test_known_errors_come_out_as_they_are(item, monkeypatch):
     asked = bind(monkeypatch, Brighter())
     instruments = PaperInstruments(Reader(), lambda a, b: (a - b).abs().mean((1, 2, 3)))
-    (row,) = measure_redirection(None, item, instruments)
+    (row,) = measure_redirection(BY_FIELD, item, instruments)
     of_people = {"identity_similarity", "identity_captures", "identity_others"}
     assert set(row) == set(UNITS) - {"fid", "frechet_alexnet"} - of_people
     share = 30.0**2 / SIZE**2
@@ -102,7 +105,7 @@ def test_published_estimators_are_compared_with_themselves_alone(item, monkeypat
     class Published(Reader):
         knows_labels = False
 
-    (row,) = measure_redirection(None, item, PaperInstruments(Published()))
+    (row,) = measure_redirection(BY_FIELD, item, PaperInstruments(Published()))
     assert set(row) == {"gaze_deg", "head_deg", "ssim", "psnr"} and row["gaze_deg"] == pytest.approx(3.0, abs=1e-3)
 
 
@@ -116,7 +119,7 @@ def test_the_rim_counts_for_nothing_and_what_is_beyond_it_counts(item, monkeypat
     whole = {}
     for grown in (0, 1, 5):
         bind(monkeypatch, Brighter(grown))
-        whole[grown] = measure_redirection(None, item, PaperInstruments())[0]["psnr"]
+        whole[grown] = measure_redirection(BY_FIELD, item, PaperInstruments())[0]["psnr"]
     assert whole[1] == pytest.approx(whole[0]) and whole[5] < whole[0] - 1.0
     made, truth = compared(np.ones((SIZE, SIZE, 4), np.float32), item.target)
     assert truth[9, 9, 3] == 1.0 and truth[8, 8, 3] == 0.0 == made[8, 8, 3] and made[0, 0, 3] == 1.0
@@ -130,7 +133,7 @@ def test_directions_without_a_length_are_one_line(item, monkeypatch):
             return super().read_views(images, camera)[0], torch.zeros(2, 3)
 
     with pytest.raises(UserError, match="no length"):
-        measure_redirection(None, item, PaperInstruments(Nowhere()))
+        measure_redirection(BY_FIELD, item, PaperInstruments(Nowhere()))
     with pytest.raises(UserError, match="not finite"):
         degrees_between(np.array([np.nan, 0, 1]), np.array([0, 0, 1]))
     assert degrees_between(np.array([0, 0, 5.0]), np.array([0, 2.0, 0])) == pytest.approx(90.0)
@@ -153,7 +156,7 @@ def test_people_and_features_are_of_white_pictures(item, monkeypatch):
 
     mesh = SimpleNamespace(landmarks={str(number): np.zeros(3) for number in range(68)})
     model = SimpleNamespace(mesh=lambda codes, gaze: mesh)
-    (row,) = measure_redirection(None, item, PaperInstruments(features=Means(), embed=embed, head_model=model))
+    (row,) = measure_redirection(BY_FIELD, item, PaperInstruments(features=Means(), embed=embed, head_model=model))
     assert all((picture[0, 0] == 255).all() and picture.dtype == np.uint8 for picture in seen)
     assert [int(picture[30, 30, 0]) for picture in seen] == [154, 128, 128], "redirected, target, source"
     assert row["identity_similarity"] == 0.0 and row["identity_captures"] == 0.0

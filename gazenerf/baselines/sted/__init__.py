@@ -4,9 +4,9 @@ An encoder takes a picture apart into an appearance and factors, each with angle
 gaze and head, turned from the picture's angles to others and decoded with the rest, give the redirected picture.
 """
 
-from gazenerf.baselines.sted.checkpoint import load_sted, save_sted
+from gazenerf.baselines.sted.checkpoint import is_sted, load_sted, save_sted
 from gazenerf.baselines.sted.config import StedConfig, StedTrainConfig
 from gazenerf.baselines.sted.network import Sted
 from gazenerf.baselines.sted.pictures import redirect_capture
 
-__all__ = ["Sted", "StedConfig", "StedTrainConfig", "load_sted", "redirect_capture", "save_sted"]
+__all__ = ["Sted", "StedConfig", "StedTrainConfig", "is_sted", "load_sted", "redirect_capture", "save_sted"]

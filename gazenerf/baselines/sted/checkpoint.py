@@ -6,11 +6,13 @@ import json
 from pathlib import Path
 
 import torch
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
 from gazenerf.archives import FLOATING
 from gazenerf.baselines.sted.config import StedConfig, from_dict, to_dict
 from gazenerf.baselines.sted.network import Sted
+from gazenerf.checkpoints import weights_hash
 from gazenerf.files import parse_json, whole_file
 from gazenerf.tensor_files import TensorFileKind, open_tensors
 
@@ -26,6 +28,15 @@ def save_sted(model: Sted, path: str | Path) -> None:
     about = {"format": FORMAT, "config": json.dumps(to_dict(model.config)), "about": json.dumps(model.about)}
     with whole_file(path) as temporary:
         save_file(tensors, temporary, metadata=about)
+
+
+def is_sted(path: str | Path) -> bool:
+    """Does a file say that it holds a STED? False where it cannot be read."""
+    try:
+        with safe_open(path, framework="numpy") as file:
+            return (file.metadata() or {}).get("format") == FORMAT
+    except (SafetensorError, OSError):
+        return False
 
 
 def load_sted(path: str | Path) -> Sted:
@@ -51,5 +62,5 @@ def load_sted(path: str | Path) -> Sted:
         if broken := [name for name, value in weights.items() if not bool(torch.isfinite(value).all())]:
             raise ValueError(f"{broken[0]} holds NaN or infinite values")
     model.load_state_dict(weights, assign=True)
-    model.about = about
+    model.about, model.weights_hash = about, weights_hash(path)
     return model.eval().requires_grad_(False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import nn
@@ -155,12 +156,13 @@ class Sted(nn.Module):
     Attributes:
         config: Sizes.
         about: Provenance stored with the weights, JSON-able.
+        weights_hash: `gazenerf.checkpoints.weights_hash` of the file they were read from, else empty.
     """
 
     def __init__(self, config: StedConfig) -> None:
         super().__init__()
-        self.config = config
-        self.about: dict[str, object] = {}
+        self.config, self.weights_hash = config, ""
+        self.about: dict[str, Any] = {}
         self.encoder, self.decoder = Encoder(config), Decoder(config)
         if not self.decoder.entry.weight.is_meta:
             for module in self.modules():
