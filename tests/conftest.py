@@ -14,7 +14,6 @@ LONG = (
     "test_with_the_fit_itself_down_to_a_trained_field",
     "test_a_killed_run_leaves_no_process_and_goes_on",
     "test_ctrl_c_ends_every_process_without_a_trace[2.5]",
-    "test_poses_gazes_and_one_focal_length_come_close",
 )
 
 
