@@ -10,10 +10,6 @@ LONG = (
     "test_the_dry_run_goes_from_captures_to_a_report",
     "test_it_runs[02_mesh.py]",
     "test_it_runs[03_rig.py]",
-    "test_it_runs[05_train.py]",
-    "test_with_the_fit_itself_down_to_a_trained_field",
-    "test_a_killed_run_leaves_no_process_and_goes_on",
-    "test_ctrl_c_ends_every_process_without_a_trace[2.5]",
 )
 
 
