@@ -1,4 +1,4 @@
-"""Tests that take half a minute or more each wait for `GAZENERF_LONG_TESTS=1`."""
+"""Tests that take long wait for `GAZENERF_LONG_TESTS=1`."""
 
 from __future__ import annotations
 
@@ -10,13 +10,17 @@ LONG = (
     "test_the_dry_run_goes_from_captures_to_a_report",
     "test_it_runs[02_mesh.py]",
     "test_it_runs[03_rig.py]",
+    "test_it_runs[05_train.py]",
+    "test_with_the_fit_itself_down_to_a_trained_field",
+    "test_a_killed_run_leaves_no_process_and_goes_on",
+    "test_ctrl_c_ends_every_process_without_a_trace[2.5]",
 )
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Skip them unless they are asked for."""
     if os.environ.get("GAZENERF_LONG_TESTS") != "1":
-        reason = pytest.mark.skip(reason="takes half a minute or more; set GAZENERF_LONG_TESTS=1")
+        reason = pytest.mark.skip(reason="takes long; set GAZENERF_LONG_TESTS=1")
         for item in items:
             if item.name in LONG:
                 item.add_marker(reason)
