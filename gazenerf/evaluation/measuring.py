@@ -11,6 +11,7 @@ from typing import TypeVar
 import numpy as np
 import torch
 
+from gazenerf.baselines.sted import Sted
 from gazenerf.checkpoints import load_field
 from gazenerf.data.rasterizer import Rasterizer
 from gazenerf.devices import choose_device, product_dtype
@@ -28,6 +29,7 @@ from gazenerf.training.perceptual import load_lpips
 from gazenerf.training.runtime import fast_bfloat16
 
 T = TypeVar("T")
+Model = TypeVar("Model", bound=TwoStreamField | Sted)
 
 PROTOCOLS = ("captures", "paper")
 
@@ -99,14 +101,19 @@ class Measuring:
     def opened(self) -> Iterator[Callable[[Measurement, Tell], tuple[Rows, dict[str, str]]]]:
         """Load the field and what measures."""
         options, left_out, head_model = self.options, dict[str, str](), load_head_model()
-        model, precision = open_field(options, self.weights_hash)
+        model, precision = open_model(options, self.weights_hash, load_field)
         with contextlib.ExitStack() as stack:
             instruments = _instruments(options, model.config.image_size, left_out, stack)
             yield lambda item, _: (measure(model, item, head_model, instruments, precision), left_out)
 
 
-def open_field(options: EvaluateOptions, weights_hash: str) -> tuple[TwoStreamField, str]:
-    """The field that is measured, where it is computed, and the precision of its products.
+def open_model(options: EvaluateOptions, weights_hash: str, load: Callable[[Path | None], Model]) -> tuple[Model, str]:
+    """What is measured, where it is computed, and the precision of its products.
+
+    Args:
+        options: How.
+        weights_hash: It must have.
+        load: Reads `options.checkpoint`.
 
     Raises:
         UserError: it cannot be read, is another one here, or there is no such device or precision.
@@ -114,19 +121,10 @@ def open_field(options: EvaluateOptions, weights_hash: str) -> tuple[TwoStreamFi
     device = choose_device(options.device)
     precision = chosen_precision(options, device)
     product_dtype(precision, device)
-    model = load_field(options.checkpoint).to(device)
-    same_model(options, model.weights_hash, weights_hash)
-    return model, precision
-
-
-def same_model(options: EvaluateOptions, here: str, wanted: str) -> None:
-    """Refuse weights that are not those that are measured elsewhere.
-
-    Raises:
-        UserError: the hashes differ.
-    """
-    if here != wanted:
+    model = load(options.checkpoint).to(device)
+    if model.weights_hash != weights_hash:
         raise UserError(f"{options.checkpoint or 'the bundled field'} is another one here; give it the same one")
+    return model, precision
 
 
 def chosen_precision(options: EvaluateOptions, device: torch.device) -> str:

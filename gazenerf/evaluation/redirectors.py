@@ -11,8 +11,7 @@ import numpy as np
 from gazenerf.baselines.sted import Sted, is_sted, load_sted, redirect_capture
 from gazenerf.checkpoints import load_field
 from gazenerf.data.captures import Capture
-from gazenerf.devices import choose_device
-from gazenerf.evaluation.measuring import EvaluateOptions, open_field, same_model
+from gazenerf.evaluation.measuring import EvaluateOptions, open_model
 from gazenerf.field.model import TwoStreamField
 from gazenerf.heads import Head
 from gazenerf.heads.cutouts import render_cut_out
@@ -87,8 +86,5 @@ def open_redirector(options: EvaluateOptions, weights_hash: str) -> Redirector:
     Raises:
         UserError: it cannot be read, is another one here, or there is no such device or precision.
     """
-    if options.checkpoint is not None and is_sted(options.checkpoint):
-        model = load_sted(options.checkpoint)
-        same_model(options, model.weights_hash, weights_hash)
-        return StedRedirector(model.to(choose_device(options.device)))
-    return FieldRedirector(*open_field(options, weights_hash))
+    model, precision = open_model(options, weights_hash, load_model)
+    return StedRedirector(model) if isinstance(model, Sted) else FieldRedirector(model, precision)

@@ -8,25 +8,16 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from gazenerf import __version__
+from gazenerf.baselines.sted import Sted
 from gazenerf.data import CaptureSet
 from gazenerf.devices import choose_device, product_dtype
 from gazenerf.errors import UserError
-from gazenerf.evaluation.measuring import EvaluateOptions, chosen_precision
+from gazenerf.evaluation.measuring import EvaluateOptions, Model, chosen_precision
 from gazenerf.evaluation.rows import MadeRows, Rows
 from gazenerf.execution import Failures, Job, Where, results
 from gazenerf.field.model import TwoStreamField
 from gazenerf.options import plain
 from gazenerf.progress import Progress, advancing
-
-
-class Measured(Protocol):
-    """Weights that are measured."""
-
-    weights_hash: str
-    about: dict[str, Any]
-
-
-Model = TypeVar("Model", bound=Measured)
 
 
 def opened(options: EvaluateOptions, where: Where, load: Callable[[Path | None], Model]) -> tuple[Model, CaptureSet]:
@@ -56,7 +47,7 @@ def held_out_people(captures: CaptureSet, options: EvaluateOptions) -> list[int]
     return people[len(people) - options.held_out :] if options.held_out > 0 else []
 
 
-def asked(options: EvaluateOptions, model: Measured, captures: CaptureSet) -> dict[str, Any]:
+def asked(options: EvaluateOptions, model: TwoStreamField | Sted, captures: CaptureSet) -> dict[str, Any]:
     """What rows depend on beside the captures that are chosen."""
     names = "data", "gaze_estimator", "iris", "device", "precision"
     return {
