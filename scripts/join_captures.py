@@ -15,12 +15,16 @@ import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from gazenerf.data.storage import read_manifest, read_shard, write_manifest, write_shard
 from gazenerf.errors import UserError
 
 COUNTS = {"people", "views"}
 """What may differ between the manifests of two sets that show the same people."""
+
+JOINED = {"more_views", "other_people", "left_out"}
+"""What a joined set's manifest says of how it was joined; such a set may be joined again."""
 
 
 def join(base: Path, more: Path, out: Path, held_out: set[int], others: bool = False) -> int:
@@ -36,21 +40,24 @@ def join(base: Path, more: Path, out: Path, held_out: set[int], others: bool = F
         UserError: a set is missing, they do not fit together, or `out` holds another set.
     """
     manifests = [{k: v for k, v in read_manifest(folder).items() if k != "format"} for folder in (base, more)]
-    may_differ = COUNTS | {"seed"} if others else COUNTS
+    may_differ = COUNTS | JOINED | ({"seed"} if others else set())
     first, second = ({k: v for k, v in manifest.items() if k not in may_differ} for manifest in manifests)
     differing = sorted(key for key in first.keys() | second.keys() if first.get(key) != second.get(key))
     if differing:
         raise UserError(f"{base} and {more} differ in {', '.join(differing)}; synthesize both with the same settings")
-    if others and manifests[0]["seed"] == manifests[1]["seed"]:
+    if others and manifests[1]["seed"] in {manifests[0]["seed"], *(some["seed"] for some in _others(manifests[0]))}:
         raise UserError(f"{base} and {more} show the same people; synthesize the others with another --seed")
     sets = (base,) if others else (base, more)
     chosen = {shard.name: shard for folder in sets for shard in _shards(folder) if _person(shard) not in held_out}
     out.mkdir(parents=True, exist_ok=True)
     joined = {"people": manifests[1]["people"], "views": manifests[1]["views"]}
-    about = {**manifests[0], "left_out": sorted(held_out)}
+    about = {**manifests[0], "left_out": sorted({*manifests[0].get("left_out", ()), *held_out})}
     if others:
         everybody = manifests[0]["people"] + manifests[1]["people"]
-        about |= {"people": everybody, "other_people": {**joined, "seed": manifests[1]["seed"]}}
+        about |= {
+            "people": everybody,
+            "other_people": [*_others(manifests[0]), {**joined, "seed": manifests[1]["seed"]}],
+        }
     else:
         about["more_views"] = joined
     write_manifest(out, about)
@@ -61,6 +68,12 @@ def join(base: Path, more: Path, out: Path, held_out: set[int], others: bool = F
     for shard in renumbered:
         write_shard(out, [replace(capture, person=first + capture.person) for capture in read_shard(shard)])
     return len(chosen) + len(renumbered)
+
+
+def _others(manifest: dict[str, Any]) -> list[dict[str, Any]]:
+    """The sets of other people that a joined set has taken in."""
+    found = manifest.get("other_people", [])
+    return [found] if isinstance(found, dict) else found
 
 
 def _shards(folder: Path) -> list[Path]:

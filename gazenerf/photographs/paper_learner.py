@@ -32,13 +32,14 @@ from gazenerf.photographs.masked_comparison import MaskedComparison
 from gazenerf.photographs.optimised import Optimised
 from gazenerf.photographs.tuning import Tuning
 from gazenerf.subjects import Codes
-from gazenerf.training.batches import Batch, BatchMaker, RayTargets
+from gazenerf.training.batches import Batch, BatchMaker
 from gazenerf.training.config import PRESETS
 from gazenerf.training.forward import render_batch
 from gazenerf.training.gaze_estimator import GazeEstimator, load_gaze_estimator
 from gazenerf.training.objective import Objective
 from gazenerf.training.operations import REFERENCE, FeatureMaps
 from gazenerf.training.perceptual import PerceptualFeatures, load_perceptual
+from gazenerf.training.ray_targets import RayTargets, only_rays
 from gazenerf.training.runtime import Runtime
 
 HELD = ("renderer.background_features", "eye_centres.")
@@ -202,9 +203,4 @@ def near_mask(target: RayTargets, capture: Capture, feature_size: int) -> RayTar
     k = capture.parts.shape[0] // feature_size
     shown = (capture.parts > 0).reshape(feature_size, k, feature_size, k).any(axis=(1, 3))
     near = np.asarray(ndimage.binary_dilation(shown, np.ones((3, 3)), iterations=REACH), dtype=bool).reshape(-1)
-    keep = near[target.rays]
-    place = np.cumsum(keep) - 1
-    eyes = target.eye_rays[keep[target.eye_rays]]
-    kept = {name: getattr(target, name)[keep] for name in
-            ("rays", "distance", "has_surface", "face_coverage", "eyes_coverage")}  # fmt: skip
-    return replace(target, **kept, eye_rays=place[eyes].astype(np.int32))
+    return only_rays(target, near[target.rays])

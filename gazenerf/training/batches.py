@@ -9,93 +9,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy import ndimage
 
 from gazenerf.cores import usable_cores
 from gazenerf.data.captures import Capture
-
-EYE_CROP = (12, 32)
-"""Height and width, in feature pixels of a map of 64, of the crop in which the eyes stream is rendered."""
-
-
-def eye_crop(feature_size: int) -> tuple[int, int]:
-    """Height and width of that crop in a feature map of F x F: its share of 64 where F is larger, F at most."""
-    scale = max(feature_size / 64.0, 1.0)
-    return min(round(scale * EYE_CROP[0]), feature_size), min(round(scale * EYE_CROP[1]), feature_size)
-
-
-@dataclass
-class RayTargets:
-    """What a feature map should show of one capture of size S x S.
-
-    Attributes:
-        rays: (R,) int32 flat feature indices whose block or a neighbour shows the head.
-        distance: (R,) float32 Euclidean distance to the surface seen through the block, world units
-            (that of the nearest block with a surface where this one has none).
-        has_surface: (R,) bool the block itself shows a surface.
-        face_coverage: (R,) float32 share of the block's pixels that show the face without eyes.
-        eyes_coverage: (R,) float32 share that shows an eye.
-        eye_rays: (E,) int32 positions in `rays` of the blocks near an eye.
-        eye_corner: Row and column of the eye crop in the feature map.
-    """
-
-    rays: np.ndarray
-    distance: np.ndarray
-    has_surface: np.ndarray
-    face_coverage: np.ndarray
-    eyes_coverage: np.ndarray
-    eye_rays: np.ndarray
-    eye_corner: tuple[int, int]
-
-
-def ray_targets(capture: Capture, feature_size: int, all_rays: bool = False, eye_dilation: int = 2) -> RayTargets:
-    """Summarise a capture at feature-map resolution.
-
-    With `all_rays` both streams are cast through the whole feature map, as published.
-
-    Raises:
-        ValueError: the picture's side is not a multiple of the feature map's.
-    """
-    height, width = capture.parts.shape
-    if height != width or height % feature_size:
-        raise ValueError(f"a {width}x{height} picture cannot feed a {feature_size}x{feature_size} feature map")
-    k = height // feature_size
-    blocks = capture.parts.reshape(feature_size, k, feature_size, k).transpose(0, 2, 1, 3).reshape(-1, k * k)
-    depth = capture.depth.reshape(feature_size, k, feature_size, k).transpose(0, 2, 1, 3).reshape(-1, k * k)
-    face = (blocks == 1).mean(axis=1).astype(np.float32)
-    eyes = (blocks >= 2).mean(axis=1).astype(np.float32)
-    seen = (depth > 0) & (blocks > 0)
-    has_surface = seen.any(axis=1)
-    middle = np.sort(np.where(seen, depth, np.inf), axis=1)
-    distance = middle[np.arange(len(middle)), np.maximum(seen.sum(axis=1) - 1, 0) // 2]
-    grid = has_surface.reshape(feature_size, feature_size)
-    nearest = ndimage.distance_transform_edt(~grid, return_distances=False, return_indices=True)
-    assert isinstance(nearest, np.ndarray)
-    distance = distance.reshape(grid.shape)[nearest[0], nearest[1]].reshape(-1)
-    cast = np.ones_like(grid) if all_rays else ndimage.binary_dilation(grid, iterations=1)
-    dilated = ndimage.binary_dilation(eyes.reshape(grid.shape) > 0, np.ones((3, 3)), iterations=eye_dilation)
-    near_eye = (np.asarray(dilated, dtype=bool) & np.asarray(cast, dtype=bool)) | all_rays
-    rays = np.flatnonzero(cast)
-    position = np.full(cast.size, -1)
-    position[rays] = np.arange(rays.size)
-    eye_rays = position[np.flatnonzero(near_eye)]
-    crop = eye_crop(feature_size)
-    if (eyes > 0).any():
-        rows, columns = np.divmod(np.flatnonzero(eyes > 0), feature_size)
-        centre = (rows.min() + rows.max() + 1) // 2, (columns.min() + columns.max() + 1) // 2
-    else:
-        centre = feature_size // 2, feature_size // 2
-    corner = tuple(int(np.clip(c - s // 2, 0, feature_size - s)) for c, s in zip(centre, crop, strict=True))
-    return RayTargets(
-        rays.astype(np.int32),
-        distance[rays].astype(np.float32),
-        np.asarray(has_surface)[rays],
-        face[rays],
-        eyes[rays],
-        eye_rays.astype(np.int32),
-        (corner[0], corner[1]),
-    )
-
+from gazenerf.training.ray_targets import RayTargets, ray_targets
+from gazenerf.training.windows import Window
 
 FREE_RAYS = 1024
 """Random rays of each capture for the empty space."""
@@ -103,11 +21,11 @@ FREE_RAYS = 1024
 
 @dataclass
 class Batch:
-    """B captures, rays padded to one length. All tensors; shapes with R rays, E eye rays.
+    """B captures, or a window of each, rays padded to one length. All tensors; shapes with R rays, E eye rays.
 
     Attributes:
         index: (B,) int64 which captures.
-        image: (B, 3, H, W) float32 sRGB.
+        image: (B, 3, H, W) float32 sRGB; of the window where there is one.
         parts: (B, H, W) uint8, values of `Capture.parts`.
         shape_code, appearance_code, gaze: (B, .) float32; gaze is the native label.
         rays_o, rays_d: (B, R, 3) float32 unit rays, world.
@@ -115,10 +33,11 @@ class Batch:
         valid: (B, R) bool; padding is False.
         distance, face_coverage, eyes_coverage: (B, R) float32; has_surface (B, R) bool.
         eye_rays: (B, E) int64 positions in R; eye_valid (B, E) bool.
-        eye_corner: (B, 2) int64.
+        eye_corner: (B, 2) int64; of the window where there is one.
         free_d: (B, F, 3) float32 unit directions through random feature pixels, from rays_o[:, 0].
         free_limit: (B, F) float32 distance up to which that ray is known to be empty.
         eye_centres: (B, 2, 3) float32 world; eye_radius float. None when unknown.
+        window: Height and width of the windows, feature pixels; None where whole pictures are rendered.
     """
 
     index: torch.Tensor
@@ -142,6 +61,7 @@ class Batch:
     free_limit: torch.Tensor
     eye_centres: torch.Tensor | None
     eye_radius: float
+    window: tuple[int, int] | None = None
 
     def to(self, device: torch.device) -> Batch:
         """The same batch on another device; from pinned memory the copies are not waited for."""
@@ -165,6 +85,7 @@ class BatchMaker:
         ray_offset: Feature-pixel coordinate of ray i is i + this (0.5 native, 0 published).
         all_rays: Cast both streams through the whole feature map.
         eyeballs: Capture to (eye centres (2, 3), radius) in the world; None when unknown.
+        window: Batches are of such windows, drawn anew each time.
         progress: Called with the number of captures summarised so far.
     """
 
@@ -175,9 +96,11 @@ class BatchMaker:
         ray_offset: float = 0.5,
         all_rays: bool = False,
         eyeballs: Callable[[Capture], tuple[np.ndarray, float]] | None = None,
+        window: Window | None = None,
         progress: Callable[[int], None] | None = None,
     ) -> None:
         self.captures = captures
+        self.window = window
         self.feature_size = feature_size
         self.ray_offset = ray_offset
         self.targets: list[RayTargets] = []
@@ -197,6 +120,11 @@ class BatchMaker:
         """The batch of some captures, with `free_rays` random rays each for the empty space."""
         captures = [self.captures[i] for i in indices]
         targets = [self.targets[i] for i in indices]
+        corners: list[tuple[int, int]] | None = None
+        if self.window is not None:
+            window, side = self.window, self.feature_size
+            corners = [window.corner(target, side, rng) for target in targets]
+            targets = [window.within(t, corner, side) for t, corner in zip(targets, corners, strict=True)]
         n_rays = max(target.rays.size for target in targets)
         n_eyes = max(1, *(target.eye_rays.size for target in targets))
         size = self.feature_size
@@ -236,8 +164,8 @@ class BatchMaker:
             radius = float(np.mean([eye[1] for eye in known if eye is not None]))
         return Batch(
             index=torch.tensor(list(indices)),
-            image=torch.from_numpy(np.stack([c.image for c in captures])).permute(0, 3, 1, 2).float() / 255.0,
-            parts=torch.from_numpy(np.stack([c.parts for c in captures])),
+            image=self._shown([c.image for c in captures], corners).permute(0, 3, 1, 2).float() / 255.0,
+            parts=self._shown([c.parts for c in captures], corners),
             shape_code=torch.from_numpy(np.stack([c.codes.shape_code for c in captures])),
             appearance_code=torch.from_numpy(np.stack([c.codes.appearance_code for c in captures])),
             gaze=torch.from_numpy(np.stack([c.gaze.label for c in captures])),
@@ -256,4 +184,14 @@ class BatchMaker:
             free_limit=torch.from_numpy(np.stack(free_limit)),
             eye_centres=centres,
             eye_radius=radius,
+            window=None if self.window is None else (self.window.height, self.window.width),
         )
+
+    def _shown(self, pictures: list[np.ndarray], corners: list[tuple[int, int]] | None) -> torch.Tensor:
+        """Pictures (H, W, ...) one on the other, cut to the windows at corners where there are some."""
+        if corners is not None and self.window is not None:
+            k = pictures[0].shape[0] // self.feature_size
+            height, width = k * self.window.height, k * self.window.width
+            pictures = [picture[k * row :, k * column :][:height, :width]
+                        for picture, (row, column) in zip(pictures, corners, strict=True)]  # fmt: skip
+        return torch.from_numpy(np.stack(pictures))

@@ -51,6 +51,9 @@ class TrainConfig:
         perceptual_backbone: `vgg16`, `alexnet` or `none`.
         perceptual_stages: How many of the backbone's five maps are compared, shallow ones first.
         perceptual_start: Share of the run before the perceptual term starts.
+        window: Height and width, feature pixels, of a window that a step renders of each picture instead of the whole:
+            many small steps instead of few large ones. None renders whole pictures.
+        window_eyes: Share of the windows that lie around the eyes.
         streams_every: The face-only picture is rendered every this many steps.
         ema: Decay of the averaged weights that are saved; 0 saves the last ones.
         gradient_clip: Largest gradient norm.
@@ -94,6 +97,8 @@ class TrainConfig:
     perceptual_backbone: str = "alexnet"
     perceptual_stages: int = 5
     perceptual_start: float = 0.3
+    window: tuple[int, int] | None = None
+    window_eyes: float = 0.5
     streams_every: int = 4
     ema: float = 0.998
     gradient_clip: float = 10.0
@@ -120,10 +125,29 @@ class TrainConfig:
             raise ValueError(f"pixel_error must be one of {', '.join(PIXEL_ERRORS)}")
         if not 1 <= int(values.get("perceptual_stages", 5)) <= 5:
             raise ValueError("perceptual_stages goes from 1 to 5")
+        if values.get("window") is not None:
+            values["window"] = _window(values["window"])
+        if not 0.0 <= float(values.get("window_eyes", 0.5)) <= 1.0:
+            raise ValueError("window_eyes goes from 0 to 1")
         if "code_weights" in values:
             values["code_weights"] = tuple(values["code_weights"])
         return cls(**values)
 
+
+def _window(value: Any) -> tuple[int, int]:
+    """The height and width of a window.
+
+    Raises:
+        ValueError: it is something else, or too small for anything to be left within its margins.
+    """
+    two = isinstance(value, list | tuple) and len(value) == 2 and all(type(side) is int for side in value)
+    if not two or min(value) < SMALLEST_WINDOW:
+        raise ValueError(f"window must be [height, width] in feature pixels, {SMALLEST_WINDOW} or more each")
+    return value[0], value[1]
+
+
+SMALLEST_WINDOW = 8
+"""Feature pixels of a window's side."""
 
 PRESETS: dict[str, TrainConfig] = {
     "small": TrainConfig(),

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from gazenerf.training.batches import FREE_RAYS, Batch, BatchMaker, RayTargets
+from gazenerf.training.batches import FREE_RAYS, Batch, BatchMaker
+from gazenerf.training.ray_targets import RayTargets
 
 _RAY_VALUES = ("rays", "distance", "has_surface", "face_coverage", "eyes_coverage")
 

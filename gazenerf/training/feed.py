@@ -61,7 +61,9 @@ class Feed:
         if held == "device" or (held is None and self._fits()):
             self._hold()
         elif held == "ahead" or (held is None and runtime.device.type == "cuda"):
-            self.keep_in_main_memory("they would take more than half of what is free on the GPU")
+            windows = maker.window is not None
+            self.keep_in_main_memory("a step shows windows of them" if windows else
+                                     "they would take more than half of what is free on the GPU")  # fmt: skip
 
     def at(self, step: int) -> tuple[int, Batch]:
         """Epoch and batch of a step (from zero), on the training device."""
@@ -87,7 +89,7 @@ class Feed:
             self._thread.shutdown(cancel_futures=True)
 
     def _fits(self) -> bool:
-        if self._runtime.device.type != "cuda":
+        if self._runtime.device.type != "cuda" or self._host.window is not None:
             return False
         free, _ = torch.cuda.mem_get_info(self._runtime.device)
         return device_bytes(self._host) <= DEVICE_SHARE * free

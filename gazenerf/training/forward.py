@@ -9,9 +9,10 @@ import torch
 from gazenerf.field.compositing import Composited, StreamSamples, composite_stream, composite_streams
 from gazenerf.field.model import TwoStreamField
 from gazenerf.field.sampling import RaySamples, shell_samples, slab_samples
-from gazenerf.training.batches import Batch, eye_crop
+from gazenerf.training.batches import Batch
 from gazenerf.training.geometry_terms import OneStreamRays, TwoStreamRays, geometry_terms, one_stream_terms, pick
 from gazenerf.training.operations import REFERENCE, Operations
+from gazenerf.training.ray_targets import eye_crop
 from gazenerf.training.surface_samples import surface_samples
 
 
@@ -22,7 +23,7 @@ class TrainingRender:
     Attributes:
         image: (B, 3, H, W) the merged picture.
         eyes_image: (B, 3, h, w) the eyes stream on its crop, or None.
-        eyes_window: (B, 2) row and column of that crop in picture pixels.
+        eyes_window: (B, 2) row and column of that crop in picture pixels, of the batch's window where it has one.
         face_image: (B, 3, H, W) the face stream, or None when not rendered.
         terms: Unweighted scalar losses `depth`, `surface`, `opacity`, `empty`, `eyeball` that apply.
     """
@@ -69,7 +70,9 @@ def render_batch(
     else:
         t, deltas = _samples(model, batch, shell, samples, noise, jitter)
     points = batch.rays_o[:, :, None] + t[..., None] * batch.rays_d[:, :, None]
-    window = batch.eye_corner * (model.config.image_size // maps.size)
+    window = torch.zeros_like(batch.eye_corner)
+    if batch.window is None:
+        window = batch.eye_corner * (model.config.image_size // maps.size)
 
     first = "face" if model.config.streams == "two" else "head"
     face = model.samples(first, points, conditions[first])
@@ -78,7 +81,7 @@ def render_batch(
     if first == "head":
         known = OneStreamRays(t, face.density, face_alone, conditions["head"])
         terms = one_stream_terms(model, batch, known) if geometry else {}
-        return TrainingRender(maps.picture(maps.turn(face_map)), None, window, None, terms)
+        return TrainingRender(maps.pictures(maps.turn(face_map), None)[0], None, window, None, terms)
 
     eyes = model.samples("eyes", pick(points, batch.eye_rays), conditions["eyes"])
     eye_deltas, eye_pixels = pick(deltas, batch.eye_rays), batch.rays.gather(1, batch.eye_rays)
@@ -150,19 +153,27 @@ class _Maps:
         return self.operations.pictures(self.model.renderer, feature_map.unflatten(1, (height, width)))
 
     def pictures(self, merged: torch.Tensor, face: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor | None]:
-        """The merged map and, where given, the face's (B, size * size, C) drawn."""
+        """The merged map and, where given, the face's (B, size * size, C) drawn; their windows where there are some."""
+        height = width = None
+        if self.batch.window is not None:
+            height, width = self.batch.window
+            merged, face = self.cut(merged, height, width), None if face is None else self.cut(face, height, width)
         if face is None:
-            return self.picture(merged), None
+            return self.picture(merged, height, width), None
         if self.operations.together:
-            both = self.picture(torch.cat([merged, face]))
+            both = self.picture(torch.cat([merged, face]), height, width)
             return both[: len(merged)], both[len(merged) :]
-        return self.picture(merged), self.picture(face)
+        return self.picture(merged, height, width), self.picture(face, height, width)
 
     def eye_crop(self, feature_map: torch.Tensor, turn: bool) -> torch.Tensor:
-        """The picture of the crop around the eyes of a map (B, size * size, C); `turn` turns it by the gaze first."""
-        height, width = eye_crop(self.size)
+        """The picture of the crop around the eyes, or of the window, of a map (B, size * size, C); `turn` turns it by
+        the gaze first."""
+        height, width = self.batch.window or eye_crop(self.size)
+        seen = self.cut(feature_map, height, width)
+        return self.picture(self.turn(seen) if turn else seen, height, width)
+
+    def cut(self, feature_map: torch.Tensor, height: int, width: int) -> torch.Tensor:
+        """What lies in a map (B, size * size, C) in height x width from the batch's corners, (B, height * width, C)."""
         rows = self.batch.eye_corner[:, :1] + torch.arange(height, device=feature_map.device)
         columns = self.batch.eye_corner[:, 1:] + torch.arange(width, device=feature_map.device)
-        crop = (rows[:, :, None] * self.size + columns[:, None, :]).reshape(len(feature_map), -1)
-        rows_seen = pick(feature_map, crop)
-        return self.picture(self.turn(rows_seen) if turn else rows_seen, height, width)
+        return pick(feature_map, (rows[:, :, None] * self.size + columns[:, None, :]).reshape(len(feature_map), -1))

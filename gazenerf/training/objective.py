@@ -20,6 +20,7 @@ from gazenerf.training.losses import (
     reconstruction_loss,
 )
 from gazenerf.training.operations import REFERENCE, FeatureMaps, Operations
+from gazenerf.training.windows import MARGIN
 
 
 class Offsets(nn.Module):
@@ -168,12 +169,13 @@ class Objective(nn.Module):
 
     def _pictures(self, render: TrainingRender, batch: Batch, progress: float, epoch: int) -> dict[str, torch.Tensor]:
         config = self.config
-        head = (batch.parts > 0)[:, None]
-        eyes = (batch.parts >= 2)[:, None]
-        face = (batch.parts == 1)[:, None]
+        counts = self._counts(batch)
+        head = (batch.parts > 0)[:, None] & counts
+        eyes = (batch.parts >= 2)[:, None] & counts
+        face = (batch.parts == 1)[:, None] & counts
         wanted = {"whole": (config.reconstruction, head)}
         if config.background_weight:
-            wanted["background"] = (config.background_weight, ~head)
+            wanted["background"] = (config.background_weight, (batch.parts == 0)[:, None] & counts)
         if config.eyes_weight:
             wanted["eyes_merged"] = (config.eyes_weight, eyes)
         masks_of = [mask for _, mask in wanted.values()]
@@ -199,6 +201,17 @@ class Objective(nn.Module):
             weight = config.functional * functional_weight(epoch, config.functional_content)
             parts["functional"] = weight * gaze_loss(estimate_gaze, render.image * head, batch.image * head)
         return parts
+
+    def _counts(self, batch: Batch) -> torch.Tensor:
+        """(H, W) bool: all of a picture, and of a window what the neural renderer's blurs bring nothing into from
+        beyond its edges."""
+        counts = torch.ones(batch.parts.shape[-2:], dtype=torch.bool, device=batch.parts.device)
+        if batch.window is None:
+            return counts
+        margin = MARGIN * (self.model.config.image_size // self.model.config.feature_size)
+        inner = torch.zeros_like(counts)
+        inner[margin:-margin, margin:-margin] = True
+        return inner
 
     def _perceptual(
         self, features: FeatureMaps, pairs: list[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]

@@ -21,8 +21,8 @@ from gazenerf.photographs.masked_comparison import MaskedComparison
 from gazenerf.photographs.paper_learner import PaperLearner, learned_names, near_mask
 from gazenerf.photographs.tuning import Tuning
 from gazenerf.subjects import Subject
-from gazenerf.training.batches import ray_targets
 from gazenerf.training.losses import perceptual_loss
+from gazenerf.training.ray_targets import ray_targets
 from tests.field_doubles import make_field, make_subject, tiny_config
 
 PUBLISHED = {

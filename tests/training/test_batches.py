@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gazenerf.training.batches import BatchMaker, eye_crop, ray_targets
+from gazenerf.training.batches import BatchMaker
+from gazenerf.training.ray_targets import eye_crop, ray_targets
 from gazenerf.training.split import is_held_out_view, split_captures
 
 

@@ -51,9 +51,23 @@ def test_other_people_are_numbered_on(toy_captures, tmp_path, join):
     assert join(base, others, tmp_path / "all", {0}, others=True) == 3
     manifest = read_manifest(tmp_path / "all")
     assert CaptureSet(tmp_path / "all").people == [1, 2, 3]
-    assert manifest["people"] == 4 and manifest["other_people"] == {"people": 2, "views": 2, "seed": 2}
+    assert manifest["people"] == 4 and manifest["other_people"] == [{"people": 2, "views": 2, "seed": 2}]
     with pytest.raises(UserError, match="show the same people"):
         join(base, base, tmp_path / "twice", set(), others=True)
+
+
+def test_a_joined_set_takes_in_more_people(toy_captures, tmp_path, join):
+    sets = [
+        write_set(tmp_path / str(seed), toy_captures, people=1 + (seed == 1), views=2, seed=seed) for seed in (1, 2, 3)
+    ]
+    join(sets[0], sets[1], tmp_path / "two", {1}, others=True)
+    assert join(tmp_path / "two", sets[2], tmp_path / "three", set(), others=True) == 3
+    manifest = read_manifest(tmp_path / "three")
+    assert CaptureSet(tmp_path / "three").people == [0, 2, 3] and manifest["people"] == 4
+    assert [some["seed"] for some in manifest["other_people"]] == [2, 3] and manifest["left_out"] == [1]
+    for again in sets[:2]:
+        with pytest.raises(UserError, match="show the same people"):
+            join(tmp_path / "two", again, tmp_path / "twice", set(), others=True)
 
 
 def test_sets_of_other_people_are_not_joined(toy_captures, tmp_path, join):
