@@ -25,6 +25,7 @@ from gazenerf.field.model import TwoStreamField
 from gazenerf.field.published import config_from_weights, is_published, native_name, native_weights
 from gazenerf.files import check_name, parse_json, whole_file
 from gazenerf.pickles import Options, TensorRecord
+from gazenerf.shared_files import field_file
 from gazenerf.tensor_files import TensorFileKind, open_tensors
 
 FORMAT = "gazenerf-field-1"
@@ -90,12 +91,17 @@ def bundled_fields() -> dict[str, Path]:
 def load_field(name_or_path: str | Path | None = None) -> TwoStreamField:
     """A bundled field by name, or any field by file, in evaluation mode; `BUNDLED` when None.
 
+    Args:
+        name_or_path: Also a folder that holds `field.safetensors`, or `hf://OWNER/NAME[@REVISION]`; see
+            `gazenerf.shared_files`.
+
     Raises:
         UserError: missing, too large, damaged, not a field, of the wrong shapes, or not finite.
     """
     if name_or_path is None:
         return _load(BUNDLED)
-    return _load(bundled_fields().get(str(name_or_path), Path(name_or_path)))
+    bundled = bundled_fields().get(str(name_or_path))
+    return _load(bundled or field_file(name_or_path, MAX_BYTES))
 
 
 @lru_cache(maxsize=1)

@@ -36,6 +36,7 @@ COMMANDS = {
     "train": "train a field on captures",
     "train-estimator": "train an estimator of gaze and head pose on captures, for evaluate",
     "evaluate": "measure a field on views, gazes and people it has not seen",
+    "share": "write a field with a model card, to publish it",
     "import-checkpoint": "convert a published checkpoint without executing it",
     "subjects": "list the bundled subjects",
     "completion": "print a shell completion script",
