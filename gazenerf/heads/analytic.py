@@ -87,6 +87,7 @@ class AnalyticField:
         self.metres_per_unit = 0.1
         self.weights_hash = "analytic"
         self.surface_spread: float | None = None
+        self.image_size: int | None = None
         self.background = np.zeros(3, np.float32)
         self.sharpness, self.solid = sharpness, solid
         self.face = Ellipsoid(np.array(face_offset), face_scale * np.array([0.8, 1.1, 0.9]))

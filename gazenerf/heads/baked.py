@@ -206,6 +206,7 @@ class BakedBoundHead:
         self.subject, self.gaze, self.box = bound.subject, bound.gaze, bound.box
         self.metres_per_unit, self.weights_hash = bound.metres_per_unit, bound.weights_hash
         self.surface_spread = bound.surface_spread
+        self.image_size = bound.image_size
         self.held = bound.gaze == baked.report.gaze
 
     @property

@@ -41,6 +41,7 @@ class BoundHead:
         self.metres_per_unit, self.weights_hash = head.metres_per_unit, head.weights_hash
         config = head.field.config
         self.surface_spread = config.surface_spread if config.geometry == "distance" else None
+        self.image_size: int | None = config.image_size
         self.label, self.conditions = head.conditions(gaze)
 
     def __repr__(self) -> str:

@@ -132,6 +132,8 @@ class BoundField(Protocol):
         weights_hash: Names the weights in sidecars and reports.
         surface_spread: Where densities follow from signed distances, the scale of their Laplace distribution, world
             units, so that the surface is where density is half of one over it; None where densities are learned.
+        image_size: Side of the pictures that it learned from, pixels: in smaller ones it draws the eyes less exactly.
+            None where it learned from none.
     """
 
     subject: Subject
@@ -140,6 +142,7 @@ class BoundField(Protocol):
     metres_per_unit: float
     weights_hash: str
     surface_spread: float | None
+    image_size: int | None
 
     @property
     def device(self) -> torch.device:

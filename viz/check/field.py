@@ -109,7 +109,8 @@ def check_subject(
         steps.advance()
         eyes = None
         if swept:
-            eyes = sweep_eyes(head, reference, gazes, options.iris_pixels, run=run)
+            iris_size = options.iris_pixels(bound.image_size)
+            eyes = sweep_eyes(head, reference, gazes, options.pixels, iris_size=iris_size, run=run)
         strips = epipolar_strips(bound, _strip_points(mesh), options.pixels, run=run)
         orbit = None
         if options.orbit:
@@ -274,7 +275,7 @@ def _about(bound: BoundField, mesh: HeadMesh, options: CheckOptions, eyes: EyeSw
         "codes_sha256_16": _digest(*(getattr(bound.subject.codes, name) for name in CODES)),
         "reference_mesh_sha256_16": _digest(mesh.vertices, mesh.faces),
         "size_px": options.pixels,
-        "iris_size_px": None if eyes is None else options.iris_pixels,
+        "iris_size_px": None if eyes is None else options.iris_pixels(bound.image_size),
         "views": options.view_count,
         "seed": options.seed,
         "options": to_dict(options, CheckOptions),

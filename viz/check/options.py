@@ -14,8 +14,11 @@ VIEWS, SIZE, GAZES = 12, 256, 5
 
 MOST_VIEWS, SIZES = 12, (32, 1024)
 
-IRIS_SIZE = 192
-"""Pixels; the iris is looked for in pictures of at least this size, unless told otherwise."""
+IRIS_SIZES = (192, 512)
+"""Pixels; irises are looked for in pictures of the size that the field learned from, within these, unless told
+otherwise: in smaller pictures a field draws its eyes less exactly."""
+
+IRIS_DEFAULT = f"the size that the field learned from, {IRIS_SIZES[0]} to {IRIS_SIZES[1]}"
 
 REFERENCES = {"mitsuba": ("mitsuba",), "pyrender": ("pyrender",), "both": ("mitsuba", "pyrender")}
 """What a user says to the renderers of the reference head."""
@@ -30,7 +33,8 @@ class CheckOptions:
         gazes: Of the eyes, the first of the five of `gazenerf.viz.metrics.eyes.gaze_grid`; with one, the metrics over
             a gaze grid are not measured.
         size: Side of a view, pixels; None for 256, and 768 for the longest side of frames.
-        iris_size: Side of the pictures in which irises are looked for, pixels, where `size` is smaller.
+        iris_size: Side of the pictures in which irises are looked for, pixels, where `size` is smaller; None for the
+            size of the pictures that the field learned from, 512 at most.
         reference: Renderers of the reference head: a name of `REFERENCES`, or names of
             `gazenerf.viz.reference.views.RENDERERS`.
         sfm: Also run COLMAP.
@@ -43,8 +47,8 @@ class CheckOptions:
     views: int | None = option(None, f"how many views (default: {VIEWS}; of frames: 120)", metavar="N")
     gazes: int = option(GAZES, "gazes of the eyes, 1 to 5 (default: 5)", metavar="N")
     size: int | None = option(None, f"side of a view (default: {SIZE}; longest side of frames: 768)", metavar="PX")
-    iris_size: int = option(
-        IRIS_SIZE, f"side of the pictures in which irises are looked for, at least (default: {IRIS_SIZE})", metavar="PX"
+    iris_size: int | None = option(
+        None, f"side of the pictures in which irises are looked for, at least (default: {IRIS_DEFAULT})", metavar="PX"
     )
     reference: str | tuple[str, ...] = option("both", "reference renderer", choices=sorted(REFERENCES))
     sfm: bool = option(False, "also run COLMAP (needs the extra sfm)")
@@ -65,10 +69,11 @@ class CheckOptions:
         """Side of a view of a field."""
         return SIZE if self.size is None else self.size
 
-    @property
-    def iris_pixels(self) -> int:
-        """Side of a picture of a field in which irises are looked for."""
-        return max(self.pixels, self.iris_size)
+    def iris_pixels(self, learned: int | None) -> int:
+        """Side of a picture in which irises are looked for, of a field that learned from pictures of this side."""
+        smallest, largest = IRIS_SIZES
+        wanted = min(max(learned or 0, smallest), largest) if self.iris_size is None else self.iris_size
+        return max(self.pixels, wanted)
 
     @property
     def renderers(self) -> tuple[str, ...]:
@@ -85,7 +90,7 @@ class CheckOptions:
             raise UserError(f"--views must lie between 1 and {MOST_VIEWS}, got {self.view_count}")
         if not SIZES[0] <= self.pixels <= SIZES[1]:
             raise UserError(f"--size must lie between {SIZES[0]} and {SIZES[1]} pixels, got {self.pixels}")
-        if not SIZES[0] <= self.iris_size <= SIZES[1]:
+        if self.iris_size is not None and not SIZES[0] <= self.iris_size <= SIZES[1]:
             raise UserError(f"--iris-size must lie between {SIZES[0]} and {SIZES[1]} pixels, got {self.iris_size}")
         if not 1 <= self.gazes <= GAZES:
             raise UserError(f"--gazes must lie between 1 and {GAZES}, got {self.gazes}")

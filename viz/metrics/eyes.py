@@ -249,7 +249,15 @@ class _Frame:
     eyes: np.ndarray
 
 
-def sweep_eyes(head: HeadField, reference: Reference, gazes: Sequence[Gaze], size: int, *, run: Map = map) -> EyeSweep:
+def sweep_eyes(
+    head: HeadField,
+    reference: Reference,
+    gazes: Sequence[Gaze],
+    size: int,
+    *,
+    iris_size: int | None = None,
+    run: Map = map,
+) -> EyeSweep:
     """Look at the eyes at several gazes.
 
     Args:
@@ -257,6 +265,7 @@ def sweep_eyes(head: HeadField, reference: Reference, gazes: Sequence[Gaze], siz
         reference: Tells where eyeballs and lids are.
         gazes: The first is what the others are compared with.
         size: Of the pictures, pixels.
+        iris_size: Of the pictures in which irises are looked for, of which windows are rendered; `size` by default.
         run: How gazes are mapped.
 
     Raises:
@@ -264,7 +273,8 @@ def sweep_eyes(head: HeadField, reference: Reference, gazes: Sequence[Gaze], siz
     """
     if not gazes:
         raise UserError("a sweep of the eyes needs at least one gaze")
-    frames = list(run(lambda gaze: _look(head.at(gaze), reference.at(gaze), size), gazes))
+    iris_size = iris_size or size
+    frames = list(run(lambda gaze: _look(head.at(gaze), reference.at(gaze), size, iris_size), gazes))
     mesh = reference.at(gazes[0])
     mm = 1000.0 * mesh.metres_per_unit
     nothing = np.full(2, np.nan)
@@ -306,18 +316,17 @@ def _moved(fit: Alignment, face: SurfaceSamples) -> float:
     return float(np.linalg.norm(fit.apply(middle) - middle))
 
 
-def _look(bound: BoundField, mesh: HeadMesh, size: int) -> _Frame:
-    centres = np.asarray(mesh.eye_centres, dtype=np.float64)
-    pictures, front, eyes = [], None, None
-    for camera in iris_cameras(size):
-        window = window_around(camera, centres, 2.0 * mesh.eye_radius)
-        whole = camera if front is None and _is_front(camera) else camera.windowed(window)
-        image = bound.render(whole).image
-        check_picture(image, whole, "the field's picture")
-        pictures.append((image, whole))
-        if whole is camera:
-            front, eyes = pictures[-1], image[window]
-    assert front is not None and eyes is not None
+def _look(bound: BoundField, mesh: HeadMesh, size: int, iris_size: int) -> _Frame:
+    camera = next(camera for camera in iris_cameras(size) if _is_front(camera))
+    front = _picture(bound, camera), camera
+    pictures, eyes = [], None
+    for camera in iris_cameras(iris_size):
+        window = window_around(camera, np.asarray(mesh.eye_centres, dtype=np.float64), 2.0 * mesh.eye_radius)
+        whole = iris_size == size and _is_front(camera)
+        pictures.append(front if whole else (_picture(bound, camera.windowed(window)), camera.windowed(window)))
+        if _is_front(camera):
+            eyes = front[0][window] if whole else pictures[-1][0]
+    assert eyes is not None
     two = "eyes" in bound.parts
     return _Frame(
         iris_gaze(pictures, mesh),
@@ -327,6 +336,13 @@ def _look(bound: BoundField, mesh: HeadMesh, size: int) -> _Frame:
         _steady(front[0], front[1], mesh, bound.background),
         eyes,
     )
+
+
+def _picture(bound: BoundField, camera: Camera) -> np.ndarray:
+    """The merged picture (H, W, 3), checked."""
+    image = bound.render(camera).image
+    check_picture(image, camera, "the field's picture")
+    return image
 
 
 def _is_front(camera: Camera) -> bool:
