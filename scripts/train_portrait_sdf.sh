@@ -1,9 +1,10 @@
 #!/usr/bin/env bash
 # Rebuild the bundled field `portrait-sdf` on a CPU: distances from points of the head model's people, the colours of
-# `portrait` settle on them, move to places on the template and settle again, detail of the skin, half precision, quality.
-#   scripts/train_portrait_sdf.sh FOLDER [--minutes 45] [more arguments of `gazenerf train`]
-# --minutes is the time in which the colours settle the second time. Distances take an hour to two of one core,
-# the first settling 19 minutes, the move 15, captures two. Persons 12 and 13 of the first 40 are left out of the
+# `portrait` settle on them, move to places on the template and settle again, then in windows, most of them at the eyes, of
+# more people; detail of the skin, half precision, quality.
+#   scripts/train_portrait_sdf.sh FOLDER [--minutes 80] [more arguments of `gazenerf train`]
+# --minutes is the time in which the colours are learned from windows. Distances take an hour to two of one core, the
+# settlings 19 and 45 minutes, the move 15, captures five. Persons 12 and 13 of the first 40 are left out of the
 # pictures: the bundled subjects mia and noa are to stay strangers.
 # What was made before is kept, and a run that was stopped goes on.
 set -euo pipefail
@@ -19,14 +20,15 @@ scripts=$(cd "$(dirname "$0")" && pwd)
 python=${PYTHON:-python}
 gazenerf=("$python" -m gazenerf)
 keep_memory=(env MALLOC_MMAP_THRESHOLD_=8589934592 MALLOC_TRIM_THRESHOLD_=17179869184 MALLOC_TOP_PAD_=1073741824)
-settings=(batch=2 muon_learning_rate=0.5 warmup=5 shell=0.024 shell_samples=6 perceptual=0.03
-	perceptual_backbone=alexnet perceptual_stages=5 perceptual_start=0.1 ema=0.97)
+settings=(batch=2 muon_learning_rate=0.5 shell=0.024 shell_samples=6 perceptual=0.03
+	perceptual_backbone=alexnet perceptual_stages=5)
+few_steps=(warmup=5 perceptual_start=0.1 ema=0.97)
 
-settle() { # folder of the run, field to begin with, field settings as JSON, more arguments
-	local run=$1 from=$2 field=$3
-	shift 3
-	[ ! -f "$run/state.pt" ] || set -- --resume "$@"
-	"${keep_memory[@]}" "${gazenerf[@]}" train --data "$folder/learned" --out "$run" --preset portrait --from "$from" \
+settle() { # captures, folder of the run, field to begin with, field settings as JSON, more arguments
+	local data=$1 run=$2 from=$3 field=$4
+	shift 4
+	[ ! -f "$run/state.pt" ] || set -- "$@" --resume
+	"${keep_memory[@]}" "${gazenerf[@]}" train --data "$folder/$data" --out "$run" --preset portrait --from "$from" \
 		--held-out 0 --set "field_overrides=$field" "${settings[@]}" "$@"
 }
 
@@ -35,12 +37,19 @@ settle() { # folder of the run, field to begin with, field settings as JSON, mor
 "${gazenerf[@]}" synthesize --out "$folder/others" --people 40 --views 4 --size 512 --seed 2 --expressions few
 "$python" "$scripts/join_captures.py" --base "$folder/people" --others "$folder/others" --held-out 12 13 \
 	--out "$folder/learned"
+"${gazenerf[@]}" synthesize --out "$folder/more" --people 60 --views 4 --size 512 --seed 11 --expressions few
+"$python" "$scripts/join_captures.py" --base "$folder/learned" --others "$folder/more" --out "$folder/all"
 sharp='"geometry": "distance", "template_frequencies": 8, "template_fall": 1.3, "surface_spread": 0.003, "shell": 0.024, "shell_samples": 6'
 [ -f "$folder/settled/field.safetensors" ] ||
-	settle "$folder/settled" "$folder/distances/field.safetensors" "{$sharp}" learning_rate=3e-4 --minutes 19
+	settle learned "$folder/settled" "$folder/distances/field.safetensors" "{$sharp}" "${few_steps[@]}" learning_rate=3e-4 \
+		--minutes 19
 "$python" "$scripts/move_features.py" --checkpoint "$folder/settled/field.safetensors" --out "$folder/moved" --resume
-settle "$folder/run" "$folder/moved/field.safetensors" "{$sharp, \"features_at\": \"template\"}" learning_rate=5e-4 \
-	eyes_weight=3 --minutes 45 "$@"
+placed="{$sharp, \"features_at\": \"template\"}"
+[ -f "$folder/placed/field.safetensors" ] ||
+	settle learned "$folder/placed" "$folder/moved/field.safetensors" "$placed" "${few_steps[@]}" learning_rate=5e-4 \
+		eyes_weight=3 --minutes 45
+settle all "$folder/run" "$folder/placed/field.safetensors" "$placed" warmup=20 perceptual_start=0 ema=0.997 \
+	learning_rate=3e-4 eyes_weight=3 "window=[16,56]" window_eyes=0.6 --minutes 80 "$@"
 fields=$("$python" -c 'from gazenerf.checkpoints import FIELDS; print(FIELDS)')
 "$python" "$scripts/learn_detail.py" --checkpoint "$folder/run/field.safetensors" --half \
 	--out "$fields/portrait-sdf.safetensors"
