@@ -15,11 +15,11 @@ from typing import Any, NoReturn
 
 from gazenerf import __version__
 from gazenerf.cli.option_files import FileArguments, check_target, merged, missing, read_options, save_options
-from gazenerf.cli.parser import add_options, flag_of, given, made, parsed
+from gazenerf.cli.parser import add_options, given, made, parsed
 from gazenerf.cli.report import SpeechOptions, current, reporting
 from gazenerf.errors import UserError
 from gazenerf.names import did_you_mean
-from gazenerf.options import options_of
+from gazenerf.options import flag_of, options_of
 
 COMMANDS = {
     "demo": "orbit, gaze grid, meshes and check of the bundled subject in one folder",
@@ -36,6 +36,7 @@ COMMANDS = {
     "train": "train a field on captures",
     "train-estimator": "train an estimator of gaze and head pose on captures, for evaluate",
     "evaluate": "measure a field on views, gazes and people it has not seen",
+    "experiment": "train and measure what a table of the paper compares, and write the table",
     "import-checkpoint": "convert a published checkpoint without executing it",
     "subjects": "list the bundled subjects",
     "completion": "print a shell completion script",
