@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
@@ -189,13 +189,15 @@ class Planned:
         """How a field is trained, and what it starts from."""
         typed, preset = self._options.settings, PRESETS.get(self._options.preset)
         chosen = typed_settings(typed)
+        _refuse_rows_own(chosen)
+        settings = (*typed, *(f"{loss}=0" for loss in lacking(name) if loss in chosen))
         if name in LADDER:
             learns = bool(preset and preset.learn_codes) or "learn_codes" in chosen
-            return replace(common, losses=name, settings=typed if learns else (*typed, "learn_codes=true")), None
+            return replace(common, losses=name, settings=settings if learns else (*settings, "learn_codes=true")), None
         if name not in ("gazenerf", STARTED):
-            return replace(common, model=name, settings=typed), None
+            return replace(common, model=name, settings=settings), None
         complete = bool(preset and preset.functional) or "functional" in chosen
-        asked = replace(common, settings=typed if complete else (*typed, "functional=1"))
+        asked = replace(common, settings=settings if complete else (*settings, "functional=1"))
         return asked, self._start() if name == STARTED else None
 
     def _start(self) -> Source:
@@ -219,6 +221,25 @@ class Planned:
             asked.out.name, ("train", *words(asked)), made, asked.out / "experiment.json", plain, after,
             going_on=going_on,
         )  # fmt: skip
+
+
+def lacking(name: str) -> tuple[str, ...]:
+    """The losses that a row is there to do without; `--set` is of all rows, and must not give it one."""
+    if name in LADDER:
+        return tuple(loss for loss in LADDER["R+P+D+F"] if loss not in LADDER[name])
+    return () if name in (STARTED, "gazenerf", "vanilla+functional") else ("functional",)
+
+
+def _refuse_rows_own(chosen: Mapping[str, Any]) -> None:
+    """Refuse settings that make rows what they are.
+
+    Raises:
+        UserError: see above.
+    """
+    overrides = chosen.get("field_overrides")
+    fields = {"streams", "eye_motion"} & set(overrides if isinstance(overrides, dict) else ())
+    if own := [*({"pixel_error"} & set(chosen)), *sorted(fields)]:
+        raise UserError(f"--set {own[0]}: rows of an experiment differ in it, so it is not set for all; leave it out")
 
 
 @cache
