@@ -40,10 +40,11 @@ def run(options: ExperimentOptions) -> int:
 
 
 def _print(result: dict[str, Any]) -> None:
+    """The tables without the paper's numbers, which the files have."""
     from rich.console import Console
     from rich.table import Table
 
-    from gazenerf.experiments.tables import tables_of
+    from gazenerf.experiments.tables import PAPER, tables_of
 
     console = Console()
     for made in tables_of(result):
@@ -51,5 +52,7 @@ def _print(result: dict[str, Any]) -> None:
         for number, heading in enumerate(made.headings):
             table.add_column(heading, justify="left" if number == 0 else "right")
         for row in made.rows:
-            table.add_row(*row.cells, style="dim" if row.published else None)
-        console.print(table)
+            if not row.cells[0].startswith(PAPER):
+                table.add_row(*row.cells)
+        if table.row_count:
+            console.print(table)

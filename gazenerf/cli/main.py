@@ -107,7 +107,7 @@ def build_parser(configured: Iterable[str] | None = None, relaxed: bool = False)
         prog="gazenerf",
         description="See, measure and take out the 3D inside a gaze-redirecting head field.",
         epilog="Angles are degrees: pitch up, yaw to the subject's left. Exit codes: 0 done, 1 a measured threshold "
-        "failed, 2 something to fix in the input.",
+        "or a row of an experiment failed, 2 something to fix in the input.",
     )
     parser.add_argument("--version", action="version", version=f"gazenerf {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
@@ -132,7 +132,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: Words after the program's name; those of this process by default.
 
     Returns:
-        The exit code: 0 done, 1 a measured threshold failed, 2 the user can fix it, 130 interrupted.
+        The exit code: 0 done, 1 a measured threshold or a row of an experiment failed, 2 the user can fix it, 130
+        interrupted.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     asked = words[0] if words else ""

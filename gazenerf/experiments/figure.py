@@ -44,10 +44,12 @@ def draw_calibration(result: Mapping[str, Any], path: Path) -> None:
             markersize=4, linewidth=1.5, elinewidth=0.8, label=about["title"],
         )  # fmt: skip
     axes.axhline(result["before"]["mean"], color="#777777", linestyle="--", linewidth=1.0, label="no calibration")
-    axes.set(xlabel="real pictures", ylabel="gaze error, degrees", ylim=(0.0, None), xticks=result["real"])
+    axes.set(xlabel="real pictures", ylabel="gaze error, degrees", xticks=result["real"])
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(frameon=False, fontsize=8)
     people, samples = result["set"]["people"], result["samples"]
-    axes.set_title(f"{people} people, {samples} pictures in all; bars: intervals of {SHARE:.0%}", fontsize=9)
+    title = f"{people} people held out, {samples} pictures in all; bars: intervals of {SHARE:.0%}"
+    axes.set_title(title, fontsize=9)
+    axes.margins(y=0.15)
     with whole_file(path) as temporary:
         figure.savefig(temporary, dpi=150, format=path.suffix.lstrip("."))

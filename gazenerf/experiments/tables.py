@@ -17,13 +17,16 @@ COLUMNS = {
     "fid": "FID ↓",
     "frechet_alexnet": "Frechet (AlexNet) ↓",
     "identity_similarity": "Identity ↑",
+    "gaze_label_deg": "Gaze against label, deg ↓",
 }
-"""Measurement to heading; arrows say which way is better."""
+"""Measurement to heading; arrows say which way is better. The last one is not in the paper."""
 
 OPTIONAL = ("fid", "frechet_alexnet")
 """Left out where no row has them."""
 
 NONE = "-"
+PAPER = "paper"
+"""How names of rows begin whose numbers the paper prints."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,7 @@ def _row_tables(result: Mapping[str, Any]) -> list[ResultTable]:
         for row, about in found["rows"].items():
             rows.append(_own(about, columns))
             for where, numbers in beside.items():
-                title = f"paper, {where}: {about['title']}"
+                title = f"{PAPER}, {where}: {about['title']}"
                 rows.append(TableRow((title, *(_printed(numbers[row], column) for column in columns)), True))
         rows += _estimator_row(found["estimator_error"], columns)
         title = f"{result['experiment']}: {_pairs(found)} of {found['people']} people, {name}"
@@ -113,7 +116,7 @@ def _printed(numbers: Mapping[str, float], column: str) -> str:
 def _estimator_row(errors: Mapping[str, Any], columns: tuple[str, ...]) -> list[TableRow]:
     if not errors:
         return []
-    of = {"gaze_deg": "gaze_estimator_deg", "head_deg": "head_estimator_deg"}
+    of = {"gaze_label_deg": "gaze_estimator_deg", "head_deg": "head_estimator_deg"}
     cells = (with_interval(errors.get(of.get(column, ""))) for column in columns)
     return [TableRow(("the estimator's own error", *cells), True)]
 
@@ -123,7 +126,7 @@ def _paper_table(where: str, numbers: Mapping[str, Any], result: Mapping[str, An
     shown = [row for row in numbers if row in titles]
     columns = tuple(column for column in COLUMNS if column in numbers[shown[0]])
     rows = tuple(
-        TableRow((f"paper: {titles[row]}", *(_printed(numbers[row], column) for column in columns)), True)
+        TableRow((f"{PAPER}: {titles[row]}", *(_printed(numbers[row], column) for column in columns)), True)
         for row in shown
     )
     return ResultTable(f"the paper on {where}", ("model", *(COLUMNS[column] for column in columns)), rows)
@@ -168,7 +171,9 @@ def notes_of(result: Mapping[str, Any]) -> list[str]:
     elif any(about["estimator_error"] for about in result["sets"].values()):
         said.append(
             "Gaze and head pose are what the estimator reads off the redirected picture against what it reads off the "
-            "true one. Where differences are smaller than its own error they say little."
+            "true one, as in the paper; an estimator that sees little finds little difference. The last column is "
+            "against the label, and in the last row stands what the estimator errs by on the true pictures: "
+            "differences that are smaller say little."
         )
     if any("frechet_alexnet" in row.get("measurements", {}) for row in _all_rows(result)):
         said.append("The Frechet distance is of AlexNet's features, no FID, which needs Inception's weights.")
