@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
@@ -20,18 +20,18 @@ from gazenerf.errors import UserError
 from gazenerf.evaluation.measuring import EvaluateOptions
 from gazenerf.experiments.checked import Data, TestSet
 from gazenerf.experiments.options import ExperimentOptions
+from gazenerf.experiments.row_options import row_options
 from gazenerf.experiments.rows import STARTED, TRAININGS
 from gazenerf.experiments.tasks import Task
 from gazenerf.options import words
-from gazenerf.training.config import PRESETS
 from gazenerf.training.estimator_run import EstimatorOptions
 from gazenerf.training.estimators import estimator_name, load_view_reader
 from gazenerf.training.gaze_estimator import load_gaze_estimator
 from gazenerf.training.loop import FIELD, STATE
-from gazenerf.training.models import LADDER, STED
+from gazenerf.training.models import STED
 from gazenerf.training.perceptual import load_perceptual
 from gazenerf.training.record import read_state
-from gazenerf.training.run import TrainOptions, chosen_config, field_config_for, typed_settings
+from gazenerf.training.run import TrainOptions, chosen_config, field_config_for
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,8 @@ class Planned:
         return self._trained(asked, asked.out / STED_FILE, settings, needed, going_on)
 
     def _field(self, name: str, common: TrainOptions) -> Task:
-        asked, start = self._of_row(name, replace(common, minutes=self._options.minutes))
+        asked = row_options(name, replace(common, minutes=self._options.minutes), self._options)
+        start = self._start() if name == STARTED else None
         config = chosen_config(asked)
         field = field_config_for(config, self._data.first)
         if config.perceptual:
@@ -184,21 +185,6 @@ class Planned:
             return ("train", *words(replace(asked, resume=(asked.out / STATE).is_file())))
 
         return self._trained(asked, asked.out / FIELD, settings, needed, going_on)
-
-    def _of_row(self, name: str, common: TrainOptions) -> tuple[TrainOptions, Source | None]:
-        """How a field is trained, and what it starts from."""
-        typed, preset = self._options.settings, PRESETS.get(self._options.preset)
-        chosen = typed_settings(typed)
-        _refuse_rows_own(chosen)
-        settings = (*typed, *(f"{loss}=0" for loss in lacking(name) if loss in chosen))
-        if name in LADDER:
-            learns = bool(preset and preset.learn_codes) or "learn_codes" in chosen
-            return replace(common, losses=name, settings=settings if learns else (*settings, "learn_codes=true")), None
-        if name not in ("gazenerf", STARTED):
-            return replace(common, model=name, settings=settings), None
-        complete = bool(preset and preset.functional) or "functional" in chosen
-        asked = replace(common, settings=settings if complete else (*settings, "functional=1"))
-        return asked, self._start() if name == STARTED else None
 
     def _start(self) -> Source:
         given = self._options.initial
@@ -221,25 +207,6 @@ class Planned:
             asked.out.name, ("train", *words(asked)), made, asked.out / "experiment.json", plain, after,
             going_on=going_on,
         )  # fmt: skip
-
-
-def lacking(name: str) -> tuple[str, ...]:
-    """The losses that a row is there to do without; `--set` is of all rows, and must not give it one."""
-    if name in LADDER:
-        return tuple(loss for loss in LADDER["R+P+D+F"] if loss not in LADDER[name])
-    return () if name in (STARTED, "gazenerf", "vanilla+functional") else ("functional",)
-
-
-def _refuse_rows_own(chosen: Mapping[str, Any]) -> None:
-    """Refuse settings that make rows what they are.
-
-    Raises:
-        UserError: see above.
-    """
-    overrides = chosen.get("field_overrides")
-    fields = {"streams", "eye_motion"} & set(overrides if isinstance(overrides, dict) else ())
-    if own := [*({"pixel_error"} & set(chosen)), *sorted(fields)]:
-        raise UserError(f"--set {own[0]}: rows of an experiment differ in it, so it is not set for all; leave it out")
 
 
 @cache

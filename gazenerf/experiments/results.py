@@ -8,8 +8,8 @@ from typing import Any
 
 from gazenerf import __version__
 from gazenerf.evaluation.redirectors import load_model
-from gazenerf.experiments.calibration import Curves
 from gazenerf.experiments.checked import Data
+from gazenerf.experiments.curves import REAL, Curves
 from gazenerf.experiments.options import ExperimentOptions
 from gazenerf.experiments.planned import Source
 from gazenerf.experiments.published import FILE, published
@@ -69,7 +69,7 @@ def calibration_result(
     failed: Mapping[str, str],
 ) -> dict[str, Any]:
     """The result of the calibration."""
-    methods = {"real": {"title": "real samples alone", **curves.of("real")}}
+    methods = {REAL: {"title": "real samples alone", **curves.of(REAL)}}
     methods |= {
         row: {"title": f"real and {title_of(options.experiment, row)}", **curves.of(row)}
         for row in rows

@@ -11,10 +11,10 @@ import pytest
 from gazenerf.data import CaptureSet
 from gazenerf.errors import UserError
 from gazenerf.experiments import calibration, fitted_estimator
-from gazenerf.experiments.calibration import Person, Samples, people_of, redirected
 from gazenerf.experiments.fitted_estimator import open_estimator
 from gazenerf.experiments.options import ExperimentOptions
 from gazenerf.experiments.run import run_experiment
+from gazenerf.experiments.samples import Person, Samples, people_of, redirected
 from gazenerf.training.gaze_estimator import BUNDLED
 from gazenerf.training.pose_estimator import PoseEstimator, save_pose_estimator
 
