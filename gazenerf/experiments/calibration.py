@@ -10,15 +10,16 @@ import zlib
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
+from gazenerf.checkpoints import weights_hash
 from gazenerf.data import CaptureSet
 from gazenerf.data.captures import Capture
 from gazenerf.errors import UserError
-from gazenerf.evaluation.measuring import EvaluateOptions
-from gazenerf.evaluation.redirectors import Redirector, load_model, open_redirector
+from gazenerf.evaluation.redirectors import Redirector
 from gazenerf.experiments.checked import Data
 from gazenerf.experiments.curves import REAL, Curves, KeptErrors
 from gazenerf.experiments.fitted_estimator import FittedEstimator, open_estimator
 from gazenerf.experiments.options import ExperimentOptions
+from gazenerf.experiments.pictures import model_redirector
 from gazenerf.experiments.planned import Source
 from gazenerf.experiments.samples import Person, Samples, people_of
 from gazenerf.experiments.tasks import Task
@@ -56,18 +57,13 @@ def calibrate(
     for method in (REAL, *models):
         say(f"calibration with {method} samples")
         try:
-            redirector = None if method == REAL else _redirector(options, models[method])
+            redirector = None if method == REAL else model_redirector(options, models[method])
             curves.errors[method] = _curve(
                 method, redirector, models.get(method), people, targets, estimator, options, kept, progress
             )
         except UserError as error:
             failed[method] = str(error)
     return curves, failed
-
-
-def _redirector(options: ExperimentOptions, task: Task) -> Redirector:
-    asked = EvaluateOptions(data=options.data, out=options.out, checkpoint=task.made, device=options.device)
-    return open_redirector(asked, load_model(task.made).weights_hash)
 
 
 def _curve(
@@ -84,7 +80,7 @@ def _curve(
     """Number of real pictures and person to error."""
     found: dict[int, dict[int, float]] = {real: {} for real in options.real}
     total, done = len(people) * len(options.real), 0
-    key = method if task is None else f"{method} {task.digest}"
+    key = method if task is None else f"{method} {weights_hash(task.made)}"
     for person in people:
         samples = Samples(person, redirector, targets, options)
         for real in options.real:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from gazenerf.checkpoints import weights_hash
 from gazenerf.evaluation.intervals import Estimate, over_subjects
 from gazenerf.experiments.checked import Data
 from gazenerf.experiments.options import ExperimentOptions
@@ -66,8 +67,8 @@ class KeptErrors:
     def __init__(self, options: ExperimentOptions, data: Data, judge: Source) -> None:
         self._path = options.out / "calibration.rows.json"
         self._about = {
-            "data": data.hash, "estimator": judge.identity, "held_out": options.held_out, "seed": options.seed,
-            "most_real": max(options.real), "samples": options.samples, "steps": options.calibration_steps,
+            "data": data.hash, "held_out": options.held_out, "seed": options.seed, "most_real": max(options.real),
+            "estimator": weights_hash(judge.file), "samples": options.samples, "steps": options.calibration_steps,
         }  # fmt: skip
         self._errors: dict[str, float] = {}
         if self._path.is_file():

@@ -1,11 +1,12 @@
-"""The calibration's figure: gaze error over the number of real pictures, a curve for each method."""
+"""Figures: the curves of the calibration, and redirected pictures beside the true ones."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from gazenerf.evaluation.intervals import SHARE
@@ -53,3 +54,26 @@ def draw_calibration(result: Mapping[str, Any], path: Path) -> None:
     axes.margins(y=0.15)
     with whole_file(path) as temporary:
         figure.savefig(temporary, dpi=150, format=path.suffix.lstrip("."))
+
+
+def draw_pictures(columns: Mapping[str, Sequence[np.ndarray]], path: Path) -> None:
+    """Draw columns of pictures, each under its name.
+
+    Args:
+        columns: Name to pictures (H, W, 3) in [0, 1], as many in each.
+        path: `.png`.
+
+    Raises:
+        UserError: the folder cannot be written.
+    """
+    rows = len(next(iter(columns.values())))
+    figure = Figure(figsize=(1.35 * len(columns), 1.3 * rows + 0.3), layout="constrained")
+    figure.get_layout_engine().set(w_pad=0.01, h_pad=0.01, wspace=0.0, hspace=0.0)  # type: ignore[union-attr]
+    grid = figure.subplots(rows, len(columns), squeeze=False)
+    for column, (name, pictures) in enumerate(columns.items()):
+        grid[0, column].set_title(name, fontsize=7)
+        for row, picture in enumerate(pictures):
+            grid[row, column].imshow(np.clip(picture, 0.0, 1.0))
+            grid[row, column].axis("off")
+    with whole_file(path) as temporary:
+        figure.savefig(temporary, dpi=150, format="png")

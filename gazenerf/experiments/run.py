@@ -12,6 +12,7 @@ from gazenerf.errors import UserError
 from gazenerf.experiments.calibration import calibrate
 from gazenerf.experiments.checked import Data, TestSet, checked_data
 from gazenerf.experiments.options import ExperimentOptions
+from gazenerf.experiments.pictures import draw_redirections
 from gazenerf.experiments.planned import Planned, in_order, refuse_sources
 from gazenerf.experiments.results import calibration_result, table_result
 from gazenerf.experiments.rows import chosen_rows
@@ -120,7 +121,19 @@ def run_experiment(
             if task.record in failed
         }
         result = table_result(options, plan.data, plan.planned.judge, plan.rows, plan.measured, missing)
-    return ExperimentResult(result, write_result(result, options.out), missing)
+    written = write_result(result, options.out)
+    return ExperimentResult(result, (*written, *_pictures(options, plan, failed)), missing)
+
+
+def _pictures(options: ExperimentOptions, plan: ExperimentPlan, failed: Mapping[Path, str]) -> list[Path]:
+    """Draw what the models that were measured make of some pairs: `NAME.png`, or `cross-SET.png`."""
+    able = {row: task for row, task in plan.rows.items() if task.record not in failed}
+    written = []
+    for test in plan.data.tests if plan.measured and able else ():
+        name = options.experiment if test is plan.data.own else f"{options.experiment}-{test.name}"
+        written.append(options.out / f"{name}.png")
+        draw_redirections(options, test, able, written[-1])
+    return written
 
 
 def _done(plan: ExperimentPlan, run: Run, progress: Progress, say: Say) -> dict[Path, str]:

@@ -94,13 +94,19 @@ def check(task: Task) -> bool:
     """
     record = read_record(task)
     if record.get("settings") == task.settings:
-        return bool(record.get("finished")) and task.made.is_file()
+        return bool(record.get("finished")) and task.made.is_file() and not _is_behind(task)
     if record and task.kept:
         raise UserError(
             f"{task.record.parent} holds {task.name} with other settings ({_differences(record, task)}); give the same "
             "ones, or another --out"
         )
     return False
+
+
+def _is_behind(task: Task) -> bool:
+    """Whether what is quickly made anew is older than what it was made of, such as a model that was trained again."""
+    made = task.made.stat().st_mtime
+    return not task.kept and any(one.made.is_file() and one.made.stat().st_mtime > made for one in task.after)
 
 
 def _differences(record: dict[str, Any], task: Task) -> str:

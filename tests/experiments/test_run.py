@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 
 import pytest
+from PIL import Image
 
 from gazenerf.cli.main import main
 from gazenerf.errors import UserError
@@ -18,7 +19,7 @@ from .conftest import FIELD, Commands, write_toys
 def test_what_one_experiment_made_the_others_use(options: ExperimentOptions, commands: Commands, tmp_path):
     found = run_experiment(options, run=commands)
     assert not found.failed and commands.trained == ["sted", "headnerf", "gazenerf"]
-    assert [path.name for path in found.written] == ["within.json", "within.md", "within.tex"]
+    assert [path.name for path in found.written] == ["within.json", "within.md", "within.tex", "within.png"]
     result = json.loads((options.out / "within.json").read_text())
     assert result == json.loads(json.dumps(found.result))
     rows = result["sets"]["held-out"]["rows"]
@@ -35,6 +36,9 @@ def test_what_one_experiment_made_the_others_use(options: ExperimentOptions, com
     other = write_toys(tmp_path / "other", people=2, views=4, seed=5)
     cross = run_experiment(replace(options, experiment="cross", test=(f"lab={other}",)), run=commands)
     assert len(commands.trained) == 4 and cross.result["sets"]["lab"]["people"] == 2
+    assert [path.name for path in cross.written][3:] == ["cross-lab.png"]
+    width, height = Image.open(cross.written[3]).size
+    assert width > 2 * height, "five columns of two people"
     assert "the paper on ColumbiaGaze" in (options.out / "cross.md").read_text().replace("The paper", "the paper")
     assert (options.out / "pairs" / "held-out.json").read_bytes() == pairs
 

@@ -67,6 +67,14 @@ def test_other_settings_are_refused_in_one_line_where_it_took_long(task: Task):
     assert read_record(task)["settings"]["steps"] == 3
 
 
+def test_what_is_quickly_made_is_made_anew_where_its_source_is(task: Task, tmp_path: Path):
+    do(task, lambda *_: task.made.write_text("made") and "", silent)
+    measured = Task("report", ("measure",), tmp_path / "report", tmp_path / "r.json", {}, after=(task,), kept=False)
+    do(measured, lambda *_: measured.made.write_text("report") and "", silent)
+    os.utime(measured.made, (1e9, 1e9))
+    assert not check(measured) and check(replace(measured, kept=True))
+
+
 def test_a_process_says_why_it_failed(tmp_path: Path):
     why = in_a_process(["train", "--data", str(tmp_path / "none"), "--out", str(tmp_path / "out")], silent)
     assert why.startswith("no captures in") and "gazenerf: error" not in why
