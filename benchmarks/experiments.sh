@@ -11,8 +11,9 @@ $gazenerf synthesize --out captures --people 36 --views 108 --size 128 --layout 
 $gazenerf synthesize --out others --people 8 --views 18 --size 128 --layout random --expressions few --seed 77 --workers 1
 $gazenerf synthesize --out traced --people 6 --views 18 --size 128 --layout xgaze18 --seed 91 --renderer mitsuba \
     --samples 36 --workers 1
+judge=$(${PYTHON:-python} -c 'from gazenerf.training.gaze_estimator import BUNDLED; print(BUNDLED)')
 options=(
-    --data captures --out experiments --held-out 8 --limit 6 --network small --estimator-epochs 20 --preset small
+    --data captures --out experiments --held-out 8 --limit 6 --gaze-estimator "$judge" --estimator-epochs 8 --preset small
     --set 'field_overrides={"hidden": 96, "layers": 6, "skip_after": 3, "feature_size": 32, "feature_channels": 48}'
     steps=900 batch=2 perceptual_start=0.15 ema=0.99 functional_content=0.03
     --sted-set 'network={"image_size": 64, "growth": 8, "appearance": 128}' steps=450 batch=4 adversarial_warmup=300
