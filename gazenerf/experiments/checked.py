@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -56,11 +57,15 @@ class Data:
     tests: tuple[TestSet, ...]
 
 
-def checked_data(options: ExperimentOptions) -> Data:
-    """Read the captures.
+def checked_data(options: ExperimentOptions, also: Callable[[CaptureSet], object] = lambda captures: None) -> Data:
+    """Read the captures; they are not kept, since what is trained needs the memory.
+
+    Args:
+        options: Of the experiment.
+        also: Looks at the captures, too.
 
     Raises:
-        UserError: too few people, nothing to pair, sets of other sizes, or pairs of other data.
+        UserError: too few people, nothing to pair, sets of other sizes, pairs of other data, or what `also` raises.
     """
     _check_numbers(options)
     folders = _test_folders(options)
@@ -71,6 +76,7 @@ def checked_data(options: ExperimentOptions) -> Data:
             f"{options.data} holds {len(people)} people and --held-out is {options.held_out}; nobody is left to learn "
             "from"
         )
+    also(captures)
     own = _test_set(OWN, captures, people[-options.held_out :], options)
     tests = []
     for name, folder in folders.items():

@@ -74,6 +74,14 @@ class Planned:
             load_gaze_estimator(options.loss_estimator)
         if options.initial is not None:
             load_field(options.initial)
+        if (
+            None not in (options.gaze_estimator, options.loss_estimator)
+            and self.judge.identity == self.teacher.identity
+        ):
+            raise UserError(
+                "--gaze-estimator and --loss-estimator are the same; models would learn to please the one that "
+                "measures them, so give two, or leave one out to have it trained"
+            )
 
     @cached_property
     def judge(self) -> Source:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from gazenerf.experiments.pictures import draw_redirections
 from gazenerf.experiments.planned import Planned, in_order, refuse_sources
 from gazenerf.experiments.results import calibration_result, table_result
 from gazenerf.experiments.rows import chosen_rows
+from gazenerf.experiments.samples import people_of
 from gazenerf.experiments.tasks import Run, Task, check, do, in_a_process
 from gazenerf.experiments.written import write_result
 from gazenerf.progress import Progress, silent
@@ -76,11 +78,12 @@ def plan_experiment(options: ExperimentOptions) -> ExperimentPlan:
             in `out` that were trained with other settings.
     """
     names = chosen_rows(options.experiment, options.models)
-    data = checked_data(options)
+    calibrates = options.experiment == "calibration"
+    data = checked_data(options, partial(people_of, options=options)) if calibrates else checked_data(options)
     planned = Planned(options, data)
     refuse_sources(options, planned.judge)
     rows = {name: planned.training(name) for name in names}
-    tests: Sequence[TestSet] = () if options.experiment == "calibration" else data.tests
+    tests: Sequence[TestSet] = () if calibrates else data.tests
     measured = {(name, test.name): planned.evaluation(rows[name], test) for test in tests for name in names}
     plan = ExperimentPlan(rows, measured, data, planned)
     plan.lines()

@@ -13,6 +13,7 @@ from gazenerf.cli.parser import parsed
 from gazenerf.errors import UserError
 from gazenerf.experiments.options import ExperimentOptions
 from gazenerf.experiments.run import plan_experiment
+from gazenerf.training.gaze_estimator import BUNDLED
 from gazenerf.training.run import TrainOptions, chosen_config
 
 SMALL = 'field_overrides={"feature_size": 16}'
@@ -83,6 +84,13 @@ def test_minutes_are_those_of_every_training(options: ExperimentOptions):
     assert found["headnerf"].minutes == 5.0 and found["headnerf"].preset == "portrait"
 
 
+def test_the_estimator_that_measures_is_not_learned_by(options: ExperimentOptions):
+    with pytest.raises(UserError, match="are the same; models would learn to please"):
+        plan_experiment(replace(options, gaze_estimator=BUNDLED, loss_estimator=BUNDLED))
+    trained = [words for words in commands(replace(options, gaze_estimator=BUNDLED)) if words[0] == "train-estimator"]
+    assert len(trained) == 1 and any("loss-estimator" in word for word in trained[0])
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -91,6 +99,7 @@ def test_minutes_are_those_of_every_training(options: ExperimentOptions):
         ({"settings": ("pixel_error=l2",)}, "rows of an experiment differ in it"),
         ({"settings": ('field_overrides={"streams": "one"}',)}, "--set streams"),
         ({"gaze_estimator": "none.safetensors"}, "no gaze estimator at"),
+        ({"experiment": "calibration", "real": (8,), "samples": 20}, "8 real ones"),
     ],
 )
 def test_mistakes_are_one_line(options: ExperimentOptions, changes, message, tmp_path):
