@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from gazenerf import __version__
+from gazenerf.evaluation.intervals import over_subjects
 from gazenerf.evaluation.redirectors import load_model
 from gazenerf.experiments.checked import Data
 from gazenerf.experiments.curves import REAL, Curves
@@ -15,6 +16,9 @@ from gazenerf.experiments.planned import Source
 from gazenerf.experiments.published import FILE, published
 from gazenerf.experiments.rows import title_of
 from gazenerf.experiments.tasks import Task, read_record
+
+COMPARED = ("gaze_deg", "head_deg", "ssim", "psnr", "lpips", "identity_similarity", "gaze_label_deg")
+"""What rows are compared in, person by person; a Frechet distance is of all people together."""
 
 OWN_ERRORS = ("gaze_estimator_deg", "head_estimator_deg")
 """What the estimator errs by on the targets' own pictures; the same in every row."""
@@ -56,8 +60,33 @@ def table_result(
             "pairs": next((report["pairs"] for report in reports.values()), None),
             "estimator_error": {name: own[name] for name in OWN_ERRORS if name in own},
             "rows": found,
+            "differences": differences({row: report["subjects"] for row, report in reports.items()}),
         }
     return _about(options, data, judge, rows) | {"sets": sets, "failed": dict(failed)}
+
+
+def differences(subjects: Mapping[str, Mapping[str, Mapping[str, float]]]) -> dict[str, Any]:
+    """How much each row differs from the last one, person by person, which says more than two intervals do.
+
+    Args:
+        subjects: Row to person to measurement to mean, as in reports of `gazenerf evaluate`.
+
+    Returns:
+        `from`, the last row, and `rows`: row to measurement to the mean difference with its interval.
+    """
+    if len(subjects) < 2:
+        return {}
+    *others, last = subjects
+    found: dict[str, Any] = {}
+    for row in others:
+        people = [person for person in subjects[row] if person in subjects[last]]
+        pairs = [(subjects[row][person], subjects[last][person]) for person in people]
+        found[row] = {
+            name: over_subjects([own[name] - theirs[name] for own, theirs in pairs]).to_dict()
+            for name in COMPARED
+            if pairs and all(name in own and name in theirs for own, theirs in pairs)
+        }
+    return {"from": last, "rows": found}
 
 
 def calibration_result(

@@ -77,9 +77,26 @@ def _row_tables(result: Mapping[str, Any]) -> list[ResultTable]:
         rows += _estimator_row(found["estimator_error"], columns)
         title = f"{result['experiment']}: {_pairs(found)} of {found['people']} people, {name}"
         made.append(ResultTable(title, ("model", *(COLUMNS[column] for column in columns)), tuple(rows)))
+        made += _differences(name, found)
     if result["experiment"] == "cross":
         made += [_paper_table(where, numbers, result) for where, numbers in paper["sets"].items()]
     return made
+
+
+def _differences(name: str, found: Mapping[str, Any]) -> list[ResultTable]:
+    """How the rows of a set differ from its last one."""
+    differences = found.get("differences")
+    if not differences:
+        return []
+    titles = {row: about["title"] for row, about in found["rows"].items()}
+    known = {column for values in differences["rows"].values() for column in values}
+    columns = tuple(column for column in COLUMNS if column in known)
+    rows = tuple(
+        TableRow((titles[row], *(with_interval(values.get(column)) for column in columns)))
+        for row, values in differences["rows"].items()
+    )
+    title = f"difference from {titles[differences['from']]}, person by person, {name}"
+    return [ResultTable(title, ("model", *(COLUMNS[column] for column in columns)), rows)]
 
 
 def _pairs(found: Mapping[str, Any]) -> str:
@@ -173,7 +190,8 @@ def notes_of(result: Mapping[str, Any]) -> list[str]:
             "Gaze and head pose are what the estimator reads off the redirected picture against what it reads off the "
             "true one, as in the paper; an estimator that sees little finds little difference. The last column is "
             "against the label, and in the last row stands what the estimator errs by on the true pictures: "
-            "differences that are smaller say little."
+            "differences that are smaller say little. Differences between rows are means over people of each person's; "
+            "an interval without zero is one that other people would hardly turn round."
         )
     if any("frechet_alexnet" in row.get("measurements", {}) for row in _all_rows(result)):
         said.append("The Frechet distance is of AlexNet's features, no FID, which needs Inception's weights.")
