@@ -16,7 +16,8 @@ options=(
     --data captures --out experiments --held-out 8 --limit 6 --gaze-estimator "$judge" --estimator-epochs 8 --preset small
     --set 'field_overrides={"hidden": 96, "layers": 6, "skip_after": 3, "feature_size": 32, "feature_channels": 48}'
     steps=900 batch=2 perceptual_start=0.15 ema=0.99 functional_content=0.03
-    --sted-set 'network={"image_size": 64, "growth": 8, "appearance": 128}' steps=450 batch=4 adversarial_warmup=300
+    --sted-set 'network={"image_size": 32, "growth": 8, "appearance": 128}' steps=1200 batch=4 learning_rate=1e-3
+    adversarial=0 directions=0
 )
 failed=0
 $gazenerf experiment within "${options[@]}" || failed=1
