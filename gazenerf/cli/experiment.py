@@ -50,7 +50,7 @@ def _print(result: dict[str, Any]) -> None:
     for made in tables_of(result):
         table = Table(title=made.title)
         for number, heading in enumerate(made.headings):
-            table.add_column(heading, justify="left" if number == 0 else "right")
+            table.add_column(heading, justify="left" if number == 0 else "right", overflow="fold")
         for row in made.rows:
             if not row.cells[0].startswith(PAPER):
                 table.add_row(*row.cells)
