@@ -66,6 +66,33 @@ def options_of(kind: type) -> dict[str, Option]:
     return {field.name: field.metadata[KEY] for field in dataclasses.fields(kind) if KEY in field.metadata}
 
 
+def flag_of(name: str, option: Option) -> str:
+    """The flag of a field; without dashes where it is given by its place."""
+    return option.flag or f"--{name.replace('_', '-')}"
+
+
+def words(options: Any) -> list[str]:
+    """What a user would type after the command's name to get these options; defaults are left out."""
+    found: list[str] = []
+    for field in dataclasses.fields(options):
+        about: Option | None = field.metadata.get(KEY)
+        value = getattr(options, field.name)
+        default = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
+        if about is None or value == default:
+            continue
+        flag = flag_of(field.name, about)
+        if isinstance(value, bool):
+            found.append(about.off[0] if about.off is not None and not value else flag)
+        elif isinstance(value, tuple) and value and isinstance(value[0], tuple):
+            for item in value:
+                found += [flag, *(f"{part:g}" if isinstance(part, float) else str(part) for part in item)]
+        else:
+            several = value if isinstance(value, tuple) else (value,)
+            found += [flag] if flag.startswith("-") else []
+            found += [f"{part:g}" if isinstance(part, float) else str(part) for part in several]
+    return found
+
+
 def to_dict(options: object, kind: type | None = None) -> dict[str, Any]:
     """The values of an options dataclass as JSON holds them.
 

@@ -16,7 +16,8 @@ INTRODUCTION = """\
 Written by `python scripts/build_command_reference.py` from the command line itself; do not edit by hand.
 
 Angles are degrees: pitch up, yaw to the subject's left ([conventions](conventions.md)). Exit codes: 0 done,
-1 a measured threshold failed, 2 something to fix in the input, said in one line. Output appears whole or not at all.
+1 a measured threshold or a row of an experiment failed, 2 something to fix in the input, said in one line. Output
+appears whole or not at all.
 With `GAZENERF_PROGRESS=lines` in the environment, commands print `progress: STAGE DONE/TOTAL` on standard error for the
 programs that run them.
 

@@ -13,10 +13,9 @@ from typing import Any
 from gazenerf.cli import check, mesh, orbit, sheet
 from gazenerf.cli.arguments import SourceArguments
 from gazenerf.cli.libraries import MissingLibrary, naming_missing_libraries
-from gazenerf.cli.parser import words
 from gazenerf.errors import UserError
 from gazenerf.heads import Head
-from gazenerf.options import option, options_of
+from gazenerf.options import option, options_of, words
 from gazenerf.progress import Progress
 
 HELP = "orbit, gaze grid, meshes and check of the bundled subject in one folder"

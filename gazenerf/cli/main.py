@@ -15,11 +15,11 @@ from typing import Any, NoReturn
 
 from gazenerf import __version__
 from gazenerf.cli.option_files import FileArguments, check_target, merged, missing, read_options, save_options
-from gazenerf.cli.parser import add_options, flag_of, given, made, parsed
+from gazenerf.cli.parser import add_options, given, made, parsed
 from gazenerf.cli.report import SpeechOptions, current, reporting
 from gazenerf.errors import UserError
 from gazenerf.names import did_you_mean
-from gazenerf.options import options_of
+from gazenerf.options import flag_of, options_of
 
 COMMANDS = {
     "demo": "orbit, gaze grid, meshes and check of the bundled subject in one folder",
@@ -36,6 +36,7 @@ COMMANDS = {
     "train": "train a field on captures",
     "train-estimator": "train an estimator of gaze and head pose on captures, for evaluate",
     "evaluate": "measure a field on views, gazes and people it has not seen",
+    "experiment": "train and measure what a table of the paper compares, and write the table",
     "share": "write a field with a model card, to publish it",
     "import-checkpoint": "convert a published checkpoint without executing it",
     "subjects": "list the bundled subjects",
@@ -107,7 +108,7 @@ def build_parser(configured: Iterable[str] | None = None, relaxed: bool = False)
         prog="gazenerf",
         description="See, measure and take out the 3D inside a gaze-redirecting head field.",
         epilog="Angles are degrees: pitch up, yaw to the subject's left. Exit codes: 0 done, 1 a measured threshold "
-        "failed, 2 something to fix in the input.",
+        "or a row of an experiment failed, 2 something to fix in the input.",
     )
     parser.add_argument("--version", action="version", version=f"gazenerf {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
@@ -132,7 +133,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: Words after the program's name; those of this process by default.
 
     Returns:
-        The exit code: 0 done, 1 a measured threshold failed, 2 the user can fix it, 130 interrupted.
+        The exit code: 0 done, 1 a measured threshold or a row of an experiment failed, 2 the user can fix it, 130
+        interrupted.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     asked = words[0] if words else ""

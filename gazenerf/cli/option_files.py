@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from gazenerf import __version__
-from gazenerf.cli.parser import add_options, flag_of, given
+from gazenerf.cli.parser import add_options, given
 from gazenerf.errors import UserError
 from gazenerf.files import read_json, refuse_existing, whole_file
 from gazenerf.names import did_you_mean
-from gazenerf.options import option, options_of, plain
+from gazenerf.options import flag_of, option, options_of, plain
 
 GROUP = "any command"
 

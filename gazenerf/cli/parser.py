@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 
 from gazenerf.errors import UserError
 from gazenerf.files import check_name
-from gazenerf.options import KEY, Option, options_of
+from gazenerf.options import Option, flag_of, options_of
 
 T = TypeVar("T")
 
@@ -57,33 +57,6 @@ def add_options(
         if option.off is not None:
             off, said = option.off
             place.add_argument(off, dest=name, default=argparse.SUPPRESS, action="store_false", help=said)
-
-
-def flag_of(name: str, option: Option) -> str:
-    """The flag of a field; without dashes where it is given by its place."""
-    return option.flag or f"--{name.replace('_', '-')}"
-
-
-def words(options: Any) -> list[str]:
-    """What a user would type after the command's name to get these options; defaults are left out."""
-    found: list[str] = []
-    for field in dataclasses.fields(options):
-        about: Option | None = field.metadata.get(KEY)
-        value = getattr(options, field.name)
-        default = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
-        if about is None or value == default:
-            continue
-        flag = flag_of(field.name, about)
-        if isinstance(value, bool):
-            found.append(about.off[0] if about.off is not None and not value else flag)
-        elif isinstance(value, tuple) and value and isinstance(value[0], tuple):
-            for item in value:
-                found += [flag, *(f"{part:g}" if isinstance(part, float) else str(part) for part in item)]
-        else:
-            several = value if isinstance(value, tuple) else (value,)
-            found += [flag] if flag.startswith("-") else []
-            found += [f"{part:g}" if isinstance(part, float) else str(part) for part in several]
-    return found
 
 
 def _shape(hint: Any, option: Option) -> dict[str, Any]:

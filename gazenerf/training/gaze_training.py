@@ -144,17 +144,11 @@ def train_gaze_estimator(
         UserError: the state file belongs to another run or is damaged, or the loss is not finite.
     """
     torch.manual_seed(seed)
-    estimator, cuts = GazeEstimator(), _Cuts.of(data)
+    estimator, cuts = GazeEstimator(), Cuts.of(data)
     errors: dict[str, dict[str, Any]] = {}
 
     def loss_of(rows: torch.Tensor) -> torch.Tensor:
-        small, windows, gaze, eyes, towards = _augmented(data, cuts, rows)
-        read = estimator.read_windows(small, windows)
-        return (
-            angular_error(gaze_vectors(read.gaze), gaze_vectors(gaze)).mean()
-            + 2.0 * (read.eyes - eyes).abs().mean()
-            + 0.2 * angular_error(read.towards, towards).mean()
-        )
+        return gaze_loss(estimator, data, cuts, rows)
 
     def after(epoch: int, loss: float) -> None:
         if epoch % MEASURE_EVERY == 0 and epoch < epochs:
@@ -172,15 +166,34 @@ def train_gaze_estimator(
     return estimator
 
 
+def gaze_loss(estimator: GazeEstimator, data: EstimatorData, cuts: Cuts, rows: torch.Tensor) -> torch.Tensor:
+    """What the estimator misses on some pictures, which are varied: gaze, radians, where the eyes are, and head pose.
+
+    Args:
+        estimator: That learns.
+        data: Pictures and truth.
+        cuts: The pictures' parts.
+        rows: (B,) indices.
+    """
+    small, windows, gaze, eyes, towards = _augmented(data, cuts, rows)
+    read = estimator.read_windows(small, windows)
+    return (
+        angular_error(gaze_vectors(read.gaze), gaze_vectors(gaze)).mean()
+        + 2.0 * (read.eyes - eyes).abs().mean()
+        + 0.2 * angular_error(read.towards, towards).mean()
+    )
+
+
 @dataclass(frozen=True)
-class _Cuts:
+class Cuts:
     """The parts of pictures that training looks at, cut once: small (N, 3, .., ..), eyes (N, 2, 3, .., ..), uint8."""
 
     small: torch.Tensor
     eyes: torch.Tensor
 
     @classmethod
-    def of(cls, data: EstimatorData) -> _Cuts:
+    def of(cls, data: EstimatorData) -> Cuts:
+        """Cut the parts of pictures."""
         small, eyes = [], []
         for first in range(0, len(data), 64):
             images = data.images[first : first + 64].float()
@@ -192,7 +205,7 @@ class _Cuts:
 
 
 def _augmented(
-    data: EstimatorData, cuts: _Cuts, rows: torch.Tensor
+    data: EstimatorData, cuts: Cuts, rows: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     """A batch: overviews, eye windows, gaze, eyes, towards; moved, mirrored, colours and sharpness varied."""
     gaze, eyes, towards = data.gaze[rows].clone(), data.eyes[rows].clone(), data.towards[rows].clone()

@@ -92,7 +92,7 @@ def train_field(
     learned, watched = split_captures(captures, options.held_out, options.held_out_views)
     if not learned:
         raise UserError("nothing is left to train on; lower --held-out or --held-out-views")
-    field_config = _field_config(config, learned[0])
+    field_config = field_config_for(config, learned[0])
     initial = None if options.initial is None else load_field(options.initial)
     if initial is not None:
         field_config = with_conventions(field_config, initial.config, frozenset(config.field_overrides))
@@ -134,7 +134,7 @@ def train_field(
     return options.out / FIELD if runtime.rank == 0 else None
 
 
-def _field_config(config: TrainConfig, capture: Capture) -> FieldConfig:
+def field_config_for(config: TrainConfig, capture: Capture) -> FieldConfig:
     """The preset's field at the captures' size and with their codes.
 
     Raises:

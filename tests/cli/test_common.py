@@ -5,13 +5,13 @@ import math
 
 import pytest
 
+from gazenerf.child_commands import PROGRESS
 from gazenerf.cli import common
 from gazenerf.cli.arguments import GazeArguments, checked_gaze
 from gazenerf.cli.libraries import missing_library
 from gazenerf.cli.parser import add_options, parsed
 from gazenerf.errors import UserError
 from gazenerf.geometry import Gaze
-from gazenerf.viz.viewer.jobs import PROGRESS
 
 
 def gaze_of(*words: str) -> Gaze:

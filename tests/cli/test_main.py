@@ -183,8 +183,7 @@ def test_a_gpu_that_is_not_there_is_one_line(command, tmp_path, monkeypatch, cap
 
 @pytest.mark.parametrize("command", ["orbit", "sheet", "view", "mesh", "export", "check", "demo", "evaluate", "train"])
 def test_every_command_that_computes_takes_a_device(command):
-    from gazenerf.cli.parser import flag_of
-    from gazenerf.options import options_of
+    from gazenerf.options import flag_of, options_of
 
     taken = {flag_of(name, option) for name, option in options_of(load_command(command).Options).items()}
     assert {"--device", "--precision"} <= taken

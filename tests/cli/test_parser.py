@@ -10,8 +10,8 @@ from typing import Literal
 import pytest
 
 from gazenerf.cli.main import COMMANDS, build_parser, load_command
-from gazenerf.cli.parser import add_options, given, parsed, words
-from gazenerf.options import option, options_of, to_dict
+from gazenerf.cli.parser import add_options, given, parsed
+from gazenerf.options import option, options_of, to_dict, words
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,24 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import re
 import subprocess
-import sys
 import threading
-from collections import deque
 from collections.abc import Callable
 
+from gazenerf.child_commands import follow, start_command
 from gazenerf.progress import Progress, silent
-
-PROGRESS = re.compile(r"progress: (.*) (\d+)/(\d+)")
-"""A line of a command that says how far it is; see `gazenerf.cli.common.showing_progress`."""
-
-KEPT_LINES = 50
-"""Lines of what a command says that are remembered."""
-
-LONGEST_TOLD = 400
-"""Characters of what a failed command said that the page shows."""
 
 
 class Jobs:
@@ -45,14 +33,8 @@ class Jobs:
         with self._lock:
             if self._process is not None:
                 return False
-            self._process = process = subprocess.Popen(
-                [sys.executable, "-m", "gazenerf", *words],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.PIPE,
-                env=os.environ | {"PYTHONUNBUFFERED": "1", "GAZENERF_PROGRESS": "lines"},
-                start_new_session=True,  # Ctrl-C is the viewer's, which then ends the command
-            )
+            # Ctrl-C is the viewer's, which then ends the command
+            self._process = process = start_command(words, own_session=True)
         threading.Thread(target=self._wait, args=(process, words), name="viewer-job", daemon=True).start()
         return True
 
@@ -65,17 +47,8 @@ class Jobs:
             process.wait()
 
     def _wait(self, process: subprocess.Popen[bytes], words: list[str]) -> None:
-        assert process.stderr is not None
-        said = deque(maxlen=KEPT_LINES)
-        for line in process.stderr:
-            text = line.decode("utf-8", "replace").strip()
-            if told := PROGRESS.fullmatch(text):
-                self._progress(told[1], int(told[2]), int(told[3]))
-            elif text:
-                said.append(text)
-        process.wait()
+        last = follow(process, self._progress)
         with self._lock:
             self._process = None
         failed = process.returncode not in (0, 1)  # 1: a check's threshold failed; its report is there
-        last = said[-1] if said else f"it ended with code {process.returncode}"
-        self._ended(words, last[:LONGEST_TOLD] if failed else "")
+        self._ended(words, last if failed else "")

@@ -54,10 +54,7 @@ def train_sted_on(options: TrainOptions, progress: Progress = silent) -> Path:
             "nobody has two captures that show an eye to learn from; lower --held-out or --held-out-views, or "
             "synthesize more views"
         )
-    try:
-        network = from_dict(StedConfig, {"image_size": learned[0].image.shape[0], **config.network})
-    except ValueError as error:
-        raise UserError(f"--set network: {error}") from error
+    network = network_for(config, learned[0].image.shape[0])
     device = choose_device(options.device)
     about = {"model": STED, "preset": options.preset, "data": captures.manifest}
     run = StedRun(options.out, learned, network, config, _judges(config, options, device), device, about)
@@ -88,6 +85,18 @@ def sted_config(options: TrainOptions) -> StedTrainConfig:
         return from_dict(StedTrainConfig, chosen | typed)
     except ValueError as error:
         raise UserError(f"--set: {error}") from error
+
+
+def network_for(config: StedTrainConfig, size: int) -> StedConfig:
+    """The network for captures of a size, pixels.
+
+    Raises:
+        UserError: there can be none.
+    """
+    try:
+        return from_dict(StedConfig, {"image_size": size, **config.network})
+    except ValueError as error:
+        raise UserError(f"--set network: {error}") from error
 
 
 def _judges(config: StedTrainConfig, options: TrainOptions, device: torch.device) -> Judges:

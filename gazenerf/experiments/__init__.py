@@ -1,0 +1,1 @@
+"""The paper's experiments from captures to tables: which models are trained, measured and compared."""
