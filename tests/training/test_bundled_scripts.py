@@ -7,14 +7,18 @@ import os
 import runpy
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 
 from gazenerf.checkpoints import BUNDLED, load_field, weights_hash
 from gazenerf.data.rasterizer import Rasterizer
 from gazenerf.data.storage import CaptureSet, read_manifest, write_manifest, write_shard
 from gazenerf.errors import UserError
+from gazenerf.field.config import PRESETS
+from gazenerf.field.model import TwoStreamField
 
 SCRIPTS = Path(__file__).parent.parent.parent / "scripts"
 
@@ -77,6 +81,24 @@ def test_sets_of_other_people_are_not_joined(toy_captures, tmp_path, join):
         join(base, more, tmp_path / "all", set())
     with pytest.raises(UserError, match="no captures"):
         join(base, tmp_path / "nowhere", tmp_path / "all", set())
+
+
+def test_averaged_fields_lie_between_and_keep_what_the_last_one_says():
+    average = runpy.run_path(str(SCRIPTS / "average_fields.py"))["average"]
+    fields = []
+    for seed in (1, 2):
+        torch.manual_seed(seed)
+        fields.append(TwoStreamField(replace(PRESETS["tiny"], trained_gaze_range=(10.0 * seed, 10.0))))
+    first, second = ({name: value.clone() for name, value in field.state_dict().items()} for field in fields)
+    found = average(fields, [0.25, 0.75])
+    assert found.config.trained_gaze_range == (20.0, 10.0)
+    for name, value in found.state_dict().items():
+        torch.testing.assert_close(value, 0.25 * first[name] + 0.75 * second[name])
+    for shares in ([0.5], [0.5, 0.6], [1.5, -0.5]):
+        with pytest.raises(UserError, match="shares"):
+            average(fields, shares)
+    with pytest.raises(UserError, match="different networks"):
+        average([fields[0], TwoStreamField(replace(PRESETS["tiny"], hidden=24))], [0.5, 0.5])
 
 
 @pytest.mark.parametrize("words", [[], ["--dry-run"]])
