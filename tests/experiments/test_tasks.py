@@ -84,13 +84,13 @@ def test_a_command_ends_with_its_experiment(tmp_path: Path):
     """Where the experiment is interrupted, what it runs ends, too."""
     script = tmp_path / "experiment.py"
     script.write_text(
-        "import sys\nfrom gazenerf import child_commands\nfrom gazenerf.experiments.tasks import in_a_process\n"
-        "import subprocess\nfrom gazenerf.experiments import tasks\n"
+        "import signal, subprocess, sys\nfrom gazenerf.experiments import tasks\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # ignored where the tests run in the background
         "def start(words):\n"
         "    made = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)'], stderr=subprocess.PIPE,\n"
         "                            start_new_session=True)\n"
         "    print(made.pid, flush=True)\n    return made\n"
-        "tasks.start_command = start\nin_a_process(['x'], lambda *_: None)\n"
+        "tasks.start_command = start\ntasks.in_a_process(['x'], lambda *_: None)\n"
     )
     process = subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
     assert process.stdout is not None
