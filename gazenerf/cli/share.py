@@ -35,7 +35,7 @@ class Options:
 
 def run(options: Options) -> int:
     """Write the folder."""
-    from gazenerf.checkpoints import load_field, weights_hash
+    from gazenerf.checkpoints import load_field
     from gazenerf.cli.common import summary_table
     from gazenerf.files import refuse_existing, whole_folder
     from gazenerf.shared_files import WEIGHTS, hub_library
@@ -54,6 +54,6 @@ def run(options: Options) -> int:
     written = [options.out / name for name in (WEIGHTS, "config.json", "README.md")]
     size = written[0].stat().st_size
     rows = {"model card": written[2], "weights": f"{written[0]}, {size / 2**20:.1f} MiB"}
-    summary_table("shared field", rows, {"bytes": size, "weights_hash": weights_hash(written[0])}, written)
+    summary_table("shared field", rows, {"bytes": size, "weights_hash": shared.saved_hash}, written)
     print(f"publish it with: hf upload OWNER/NAME {options.out}")
     return 0

@@ -34,6 +34,9 @@ class PretrainedField(
         report: Of `gazenerf evaluate`, for the model card.
         half: Save float16.
 
+    Attributes:
+        saved_hash: Of the weights that were last saved; None before.
+
     Example:
         >>> PretrainedField(gazenerf.checkpoints.load_field("portrait-sdf")).save_pretrained("my-field")
         >>> PretrainedField.from_pretrained("my-field").field.config.image_size
@@ -42,11 +45,11 @@ class PretrainedField(
 
     def __init__(self, field: TwoStreamField, report: dict[str, Any] | None = None, half: bool = False) -> None:
         self.field, self.report, self.half = field, report, half
-        self._saved_hash: str | None = None
+        self.saved_hash: str | None = None
 
     def _save_pretrained(self, save_directory: Path) -> None:
         save_field(self.field, save_directory / WEIGHTS, half=self.half)
-        self._saved_hash = weights_hash(save_directory / WEIGHTS)
+        self.saved_hash = weights_hash(save_directory / WEIGHTS)
         text = json.dumps(self.field.config.to_dict(), indent=2)
         (save_directory / "config.json").write_text(text + "\n", encoding="utf-8")
 
@@ -76,5 +79,5 @@ class PretrainedField(
         if kwargs.get("license"):
             about["license"] = kwargs["license"]
         name = kwargs.get("name") or "A gaze-redirecting head field"
-        facts = card_facts(self.field, self.report) | {"weights_hash": self._saved_hash or self.field.weights_hash}
+        facts = card_facts(self.field, self.report) | {"weights_hash": self.saved_hash or self.field.weights_hash}
         return ModelCard.from_template(ModelCardData(**about), template_str=TEMPLATE, name=name, **facts)

@@ -8,9 +8,7 @@ import numpy as np
 import torch
 
 from gazenerf.training.batches import FREE_RAYS, Batch, BatchMaker
-from gazenerf.training.ray_targets import RayTargets
-
-_RAY_VALUES = ("rays", "distance", "has_surface", "face_coverage", "eyes_coverage")
+from gazenerf.training.ray_targets import PER_RAY, RayTargets
 
 
 def sent(values: np.ndarray, device: torch.device) -> torch.Tensor:
@@ -39,7 +37,7 @@ class DeviceBatchMaker:
         self._n_rays = np.array([target.rays.size for target in targets])
         self._n_eyes = np.array([target.eye_rays.size for target in targets])
         self._eyeballs = maker.eyeballs
-        self._rays = {name: _table([getattr(t, name) for t in targets]).to(device) for name in _RAY_VALUES}
+        self._rays = {name: _table([getattr(t, name) for t in targets]).to(device) for name in PER_RAY}
         self._eye_rays = _table([target.eye_rays for target in targets]).to(device)
         self._counts = torch.from_numpy(np.stack([self._n_rays, self._n_eyes], axis=1)).to(device)
         self._image = _pile([capture.image for capture in captures], device)
@@ -113,7 +111,7 @@ def device_bytes(maker: BatchMaker) -> int:
     first: RayTargets = maker.targets[0]
     n_rays = max(target.rays.size for target in maker.targets)
     n_eyes = max(1, *(target.eye_rays.size for target in maker.targets))
-    per_ray = sum(getattr(first, name).itemsize for name in _RAY_VALUES)
+    per_ray = sum(getattr(first, name).itemsize for name in PER_RAY)
     pictures = maker.captures[0].image.nbytes + maker.captures[0].parts.nbytes
     return len(maker) * (pictures + n_rays * per_ray + n_eyes * first.eye_rays.itemsize)
 

@@ -33,7 +33,7 @@ from gazenerf.training.optimizers import Optimizers
 from gazenerf.training.pace import Pace
 from gazenerf.training.record import append_row, forget_after, read_state, write_preview
 from gazenerf.training.runtime import Runtime
-from gazenerf.training.windows import Window
+from gazenerf.training.windows import chosen_window
 
 STATE = "state.pt"
 LOG = "log.jsonl"
@@ -189,20 +189,6 @@ def _check(captures: Sequence[Capture], field_config: FieldConfig, minutes: floa
             f"the captures are {captures[0].image.shape[0]} px, the field renders {field_config.image_size} px; "
             "synthesize at that size or choose another preset"
         )
-
-
-def chosen_window(config: TrainConfig, field_config: FieldConfig) -> Window | None:
-    """The windows that steps render, None for whole pictures.
-
-    Raises:
-        UserError: they are larger than the feature map.
-    """
-    if config.window is None:
-        return None
-    if max(config.window) > field_config.feature_size:
-        most = field_config.feature_size
-        raise UserError(f"--set window: {list(config.window)} is larger than the feature map of {most}x{most}")
-    return Window(*config.window, config.window_eyes)
 
 
 class _Run:

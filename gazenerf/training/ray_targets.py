@@ -43,6 +43,21 @@ class RayTargets:
     eye_corner: tuple[int, int]
 
 
+def corner_around(places: np.ndarray, shape: tuple[int, int], feature_size: int) -> tuple[int, int]:
+    """Row and column at which a window begins that lies around some feature pixels, within the map.
+
+    Args:
+        places: (N,) flat feature indices, at least one.
+        shape: Height and width of the window, feature pixels.
+        feature_size: Side of the feature map.
+    """
+    middles = [(index.min() + index.max() + 1) // 2 for index in np.divmod(places, feature_size)]
+    row, column = (
+        int(np.clip(middle - side // 2, 0, feature_size - side)) for middle, side in zip(middles, shape, strict=True)
+    )
+    return row, column
+
+
 def ray_targets(capture: Capture, feature_size: int, all_rays: bool = False, eye_dilation: int = 2) -> RayTargets:
     """Summarise a capture at feature-map resolution.
 
@@ -74,13 +89,9 @@ def ray_targets(capture: Capture, feature_size: int, all_rays: bool = False, eye
     position = np.full(cast.size, -1)
     position[rays] = np.arange(rays.size)
     eye_rays = position[np.flatnonzero(near_eye)]
-    crop = eye_crop(feature_size)
-    if (eyes > 0).any():
-        rows, columns = np.divmod(np.flatnonzero(eyes > 0), feature_size)
-        centre = (rows.min() + rows.max() + 1) // 2, (columns.min() + columns.max() + 1) // 2
-    else:
-        centre = feature_size // 2, feature_size // 2
-    corner = tuple(int(np.clip(c - s // 2, 0, feature_size - s)) for c, s in zip(centre, crop, strict=True))
+    shown = np.flatnonzero(eyes > 0)
+    middle_pixel = np.array([feature_size // 2 * (feature_size + 1)])
+    corner = corner_around(shown if shown.size else middle_pixel, eye_crop(feature_size), feature_size)
     return RayTargets(
         rays.astype(np.int32),
         distance[rays].astype(np.float32),
@@ -88,16 +99,17 @@ def ray_targets(capture: Capture, feature_size: int, all_rays: bool = False, eye
         face[rays],
         eyes[rays],
         eye_rays.astype(np.int32),
-        (corner[0], corner[1]),
+        corner,
     )
 
 
-_PER_RAY = ("rays", "distance", "has_surface", "face_coverage", "eyes_coverage")
+PER_RAY = ("rays", "distance", "has_surface", "face_coverage", "eyes_coverage")
+"""Values of `RayTargets` that each ray has."""
 
 
 def only_rays(target: RayTargets, keep: np.ndarray) -> RayTargets:
     """The targets without some of their rays; keep (R,) bool says which stay."""
     place = np.cumsum(keep) - 1
     eyes = target.eye_rays[keep[target.eye_rays]]
-    kept = {name: getattr(target, name)[keep] for name in _PER_RAY}
+    kept = {name: getattr(target, name)[keep] for name in PER_RAY}
     return replace(target, **kept, eye_rays=place[eyes].astype(np.int32))

@@ -6,7 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gazenerf.training.ray_targets import RayTargets, only_rays
+from gazenerf.errors import UserError
+from gazenerf.field.config import FieldConfig
+from gazenerf.training.config import TrainConfig
+from gazenerf.training.ray_targets import RayTargets, corner_around, only_rays
 
 MARGIN = 2
 """Feature pixels along the edges of a window that no loss looks at: the neural renderer's blurs reach less far."""
@@ -27,18 +30,27 @@ class Window:
 
     def corner(self, target: RayTargets, feature_size: int, rng: np.random.Generator) -> tuple[int, int]:
         """Row and column at which a window of a capture's feature map begins."""
-        shown = target.rays[target.eyes_coverage > 0]
-        if rng.random() < self.eyes and shown.size:
-            rows, columns = np.divmod(shown, feature_size)
-            row, column = (rows.min() + rows.max() + 1) // 2, (columns.min() + columns.max() + 1) // 2
-        else:
-            row, column = divmod(int(target.rays[rng.integers(target.rays.size)]), feature_size)
-        low = row - self.height // 2, column - self.width // 2
-        most = feature_size - self.height, feature_size - self.width
-        return min(max(int(low[0]), 0), most[0]), min(max(int(low[1]), 0), most[1])
+        places = target.rays[target.eyes_coverage > 0]
+        if not (rng.random() < self.eyes and places.size):
+            places = target.rays[[rng.integers(target.rays.size)]]
+        return corner_around(places, (self.height, self.width), feature_size)
 
     def within(self, target: RayTargets, corner: tuple[int, int], feature_size: int) -> RayTargets:
         """The targets of the window at a corner."""
         row, column = target.rays // feature_size - corner[0], target.rays % feature_size - corner[1]
         inside = (row >= 0) & (row < self.height) & (column >= 0) & (column < self.width)
         return replace(only_rays(target, inside), eye_corner=corner)
+
+
+def chosen_window(config: TrainConfig, field_config: FieldConfig) -> Window | None:
+    """The windows that steps render, None for whole pictures.
+
+    Raises:
+        UserError: they are larger than the feature map.
+    """
+    if config.window is None:
+        return None
+    if max(config.window) > field_config.feature_size:
+        most = field_config.feature_size
+        raise UserError(f"--set window: {list(config.window)} is larger than the feature map of {most}x{most}")
+    return Window(*config.window, config.window_eyes)

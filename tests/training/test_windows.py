@@ -15,10 +15,9 @@ from gazenerf.training.batches import BatchMaker
 from gazenerf.training.config import TrainConfig
 from gazenerf.training.feed import Feed
 from gazenerf.training.forward import render_batch
-from gazenerf.training.loop import chosen_window
 from gazenerf.training.objective import Objective
 from gazenerf.training.runtime import Runtime
-from gazenerf.training.windows import MARGIN, Window
+from gazenerf.training.windows import MARGIN, Window, chosen_window
 
 FIELD = replace(
     PRESETS["tiny"], image_size=32, feature_size=16, identity=4, expression=3, texture=5, illumination=27, merge="joint"
