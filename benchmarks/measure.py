@@ -14,6 +14,7 @@ from typing import Any
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
+from gazenerf.cores import processor_name
 from gazenerf.files import whole_file
 
 
@@ -80,14 +81,8 @@ def _status(path: Path, name: str) -> int:
 
 def machine() -> dict[str, Any]:
     """What the numbers were measured on."""
-    model = ""
-    if (info := Path("/proc/cpuinfo")).exists():
-        names = (
-            line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")
-        )
-        model = next(names, "")
     return {
-        "processor": model or platform.processor(),
+        "processor": processor_name(),
         "architecture": platform.machine(),
         "cores": os.cpu_count(),
         "threads": torch.get_num_threads(),

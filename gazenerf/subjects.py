@@ -123,9 +123,9 @@ class Subject:
 
     def save(self, path: str | Path) -> None:
         """Write one safetensors file with JSON metadata."""
-        tensors = {f"codes.{name}": getattr(self.codes, name) for name in _CODES}
+        tensors = {f"codes.{name}": getattr(self.codes, name) for name in CODES}
         if self.head_codes is not None:
-            tensors |= {f"head.{name}": getattr(self.head_codes, name) for name in _CODES}
+            tensors |= {f"head.{name}": getattr(self.head_codes, name) for name in CODES}
         if self.personal is not None:
             tensors |= self.personal.tensors()
         about = {
@@ -150,15 +150,16 @@ class Subject:
         with open_tensors(path, KIND) as (file, metadata):
             keys = set(file.keys())
             about = parse_json(metadata["subject"])
-            codes = Codes(*(file.get_tensor(f"codes.{name}") for name in _CODES))
-            head = Codes(*(file.get_tensor(f"head.{name}") for name in _CODES)) if "head.identity" in keys else None
+            codes = Codes(*(file.get_tensor(f"codes.{name}") for name in CODES))
+            head = Codes(*(file.get_tensor(f"head.{name}") for name in CODES)) if "head.identity" in keys else None
             camera = None if about["camera"] is None else Camera.from_dict(about["camera"])
             pitch, yaw = (float(angle) for angle in about["gaze"])
             personal = read_personal(file, about.get("personal_field"))
             return cls(str(about["name"]), codes, head, camera, Gaze(pitch, yaw), dict(about["provenance"]), personal)
 
 
-_CODES = ("identity", "expression", "texture", "illumination")
+CODES = ("identity", "expression", "texture", "illumination")
+"""Names of the four latent codes, in order."""
 
 
 def bundled_subjects() -> dict[str, Path]:

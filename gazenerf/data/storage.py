@@ -23,7 +23,7 @@ from gazenerf.data.captures import Capture
 from gazenerf.errors import UserError
 from gazenerf.files import parse_json, whole_file
 from gazenerf.geometry import Camera, Gaze
-from gazenerf.subjects import Codes
+from gazenerf.subjects import CODES, Codes
 
 FORMAT = "gazenerf-captures-1"
 MANIFEST = "manifest.json"
@@ -37,7 +37,6 @@ DEPTH_STEP = 5e-4
 EARLIER = {"expressions": "few"}
 """What holds for sets whose manifests are older than a setting."""
 
-_CODES = ("identity", "expression", "texture", "illumination")
 _DAMAGE = (
     OSError, EOFError, KeyError, ValueError, IndexError, TypeError, AttributeError, SyntaxError, OverflowError,
     RecursionError, MemoryError, NotImplementedError, struct.error, zlib.error, zipfile.BadZipFile,
@@ -111,7 +110,7 @@ def write_shard(folder: Path, captures: list[Capture]) -> None:
             dtype=np.uint8,
         ),
     }
-    for name in _CODES:
+    for name in CODES:
         arrays[name] = np.stack([getattr(c.codes, name) for c in captures])
     for i, capture in enumerate(captures):
         seen = capture.depth > 0
@@ -203,7 +202,7 @@ def _capture(arrays: dict[str, np.ndarray], i: int, about: dict[str, Any]) -> Ca
     if parts.max() > 3:
         raise ValueError("a part id is above 3")
     depth = np.where(steps > 0, nearest + (steps - 1) * DEPTH_STEP, 0.0).astype(np.float32)
-    codes = Codes(*(arrays[name][i] for name in _CODES))
+    codes = Codes(*(arrays[name][i] for name in CODES))
     return Capture(image, parts, depth, camera, gaze, codes, int(about["person"]), int(about["view"]))
 
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from gazenerf.child_commands import follow, start_command
-from gazenerf.cores import usable_cores
+from gazenerf.cores import processor_name, usable_cores
 from gazenerf.errors import UserError
 from gazenerf.files import read_json, whole_file
 from gazenerf.progress import Progress
@@ -174,13 +174,9 @@ def machine() -> dict[str, Any]:
     import torch
 
     gpu = torch.cuda.get_device_name() if torch.cuda.is_available() else None
-    return {"cpu": _cpu(), "cores": usable_cores(), "threads": os.environ.get("OMP_NUM_THREADS"), "gpu": gpu}
-
-
-def _cpu() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError:
-        lines = []
-    named = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return named[0] if named else platform.processor() or platform.machine()
+    return {
+        "cpu": processor_name() or platform.machine(),
+        "cores": usable_cores(),
+        "threads": os.environ.get("OMP_NUM_THREADS"),
+        "gpu": gpu,
+    }

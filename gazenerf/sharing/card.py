@@ -12,6 +12,7 @@ from gazenerf.errors import UserError
 from gazenerf.evaluation.quality import UNITS
 from gazenerf.field.model import TwoStreamField
 from gazenerf.files import read_json
+from gazenerf.subjects import CODES
 
 TEMPLATE = (Path(__file__).parent / "model_card.md").read_text(encoding="utf-8")
 
@@ -78,7 +79,7 @@ def card_facts(field: TwoStreamField, report: Mapping[str, Any] | None = None) -
         "geometry": "signed distances" if config.geometry == "distance" else "densities",
         "eye_motion": config.eye_motion,
         "parameters": f"{sum(value.numel() for value in field.state_dict().values()):,}",
-        "codes": dict(zip(("identity", "expression", "texture", "illumination"), config.code_sizes, strict=True)),
+        "codes": dict(zip(CODES, config.code_sizes, strict=True)),
         "gaze_range": config.trained_gaze_range,
         "model": _plain(about.get("model", "gazenerf")),
         "captures": _settings(captures) if isinstance(captures, dict) else [],

@@ -13,9 +13,9 @@ import torch
 
 from gazenerf.field.config import FieldConfig
 from gazenerf.field.model import TwoStreamField
+from gazenerf.subjects import CODES
 
-_CODES = ("identity", "expression", "texture", "illumination")
-COPIED = {"streams", "eye_motion", "merge", "gaze_input", *_CODES}
+COPIED = {"streams", "eye_motion", "merge", "gaze_input", *CODES}
 """Settings that may be others in a field that starts from one with one stream."""
 
 _CONVENTIONS = ("ray_offset", "gaze_label_signs")
@@ -40,7 +40,7 @@ def left_out(initial: FieldConfig, config: FieldConfig) -> list[str]:
         return []
     found = [
         f"what it knows of {name} codes, {getattr(initial, name)} there and {getattr(config, name)} here, is left out"
-        for name in _CODES
+        for name in CODES
         if getattr(initial, name) != getattr(config, name)
     ]
     if initial.feature_channels < config.feature_channels:

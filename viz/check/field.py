@@ -17,7 +17,7 @@ from gazenerf.head_model import HeadMesh, ReferenceHead
 from gazenerf.heads.interface import BoundField, HeadField, Part
 from gazenerf.options import to_dict
 from gazenerf.progress import Progress, silent
-from gazenerf.subjects import Subject
+from gazenerf.subjects import CODES, Subject
 from gazenerf.viz.check.options import CheckOptions
 from gazenerf.viz.check.result import CheckedView, CheckResult
 from gazenerf.viz.check.views import blind_views, check_cameras, check_mesh, checked_view, serving
@@ -46,8 +46,6 @@ from gazenerf.workers import pool
 
 S = TypeVar("S")
 T = TypeVar("T")
-
-CODES = ("identity", "expression", "texture", "illumination")
 
 
 def reference_of(subject: Subject) -> ReferenceHead:
