@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 from gazenerf.errors import UserError
 from gazenerf.export.appearance.points import check_points
-from gazenerf.export.appearance.texture import SIZES, check_texture
+from gazenerf.export.appearance.texture import MAX_FACES, SIZES, check_texture
 from gazenerf.export.surface.fusion import SURFACES
 from gazenerf.export.surface.isosurface import METHODS
 from gazenerf.heads.interface import PARTS, Part
@@ -17,6 +17,13 @@ FORMATS = ("glb", "ply", "obj", "stl", "usdz")
 
 SMOOTHED = 40
 """Rounds of smoothing of surfaces that are not those of signed distances."""
+
+RESOLUTION, FINE_RESOLUTION = 192, 320
+"""Grid points along the longest side; the second of face and head where their surface is that of signed distances: lips
+and lids are then wider than the grid's cells."""
+
+FINE_FACES = 150_000
+"""What a surface of `FINE_RESOLUTION` is reduced to, about as many triangles as one of `RESOLUTION` has."""
 
 TEXTURED = ("glb", "obj", "usdz")
 """Formats that carry a texture."""
@@ -30,7 +37,6 @@ PRESETS: dict[str, dict[str, Any]] = {
     "blender": {"formats": ("glb", "obj"), "max_faces": 50_000, "texture": 2048, "rig": True},
     "web": {
         "formats": ("glb",),
-        "resolution": 160,
         "max_faces": 15_000,
         "texture": 1024,
         "rig": True,
@@ -43,7 +49,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "repair": True,
         "seen": True,
     },
-    "research": {"formats": ("ply",), "smoothing": 0, "points": 200_000, "volumes": ("nrrd", "npz")},
+    "research": {"formats": ("ply",), "resolution": 192, "smoothing": 0, "points": 200_000, "volumes": ("nrrd", "npz")},
 }
 """Use to the settings that differ from the defaults."""
 
@@ -54,17 +60,15 @@ class MeshOptions:
 
     Attributes:
         parts: Some of face, eyes, head.
-        resolution: Grid points along the longest side of a part's box.
+        resolution: Grid points along the longest side of a part's box; see `settled` where None.
         threshold: Density of the surface: `auto`, a number per world unit, or a percentile such as `p50`.
         surface: `isosurface` of the density; `tsdf` or `poisson`, of depth in pictures all around.
         method: How an isosurface is extracted.
         repair: Make the surface manifold.
         seen: Drop pieces that cannot be seen from outside.
         holes_mm: Close holes up to this radius, millimetres; inf for all.
-        smoothing: Rounds of Taubin smoothing, which keeps the volume; None for none where the surface is that of
-            signed distances, and for `SMOOTHED` elsewhere.
-        max_faces: Decimate each part to at most so many triangles; a textured one to
-            `gazenerf.export.appearance.texture.MAX_FACES` where None.
+        smoothing: Rounds of Taubin smoothing, which keeps the volume; see `settled` where None.
+        max_faces: Decimate each part to at most so many triangles; see `settled` where None.
         formats: Some of glb, ply, obj, stl (millimetres), usdz.
         colours: Colour the vertices from rendered views.
         texture: Texels along a side of a texture, carried by glb, obj, usdz and the rig; none where None.
@@ -77,7 +81,10 @@ class MeshOptions:
     """
 
     parts: tuple[Part, ...] = option(("face", "eyes"), "face, eyes, head (default: face eyes)", metavar="PART")
-    resolution: int = option(192, "grid points along the longest side (default: 192)", metavar="N", group=SURFACE)
+    resolution: int | None = option(
+        None, "grid points along the longest side (default: 192; 320 of face and head where the field has signed "
+        "distances)", metavar="N", group=SURFACE,
+    )  # fmt: skip
     threshold: str | float = option(
         "auto", "density of the surface: auto, a number, or p50", metavar="auto|X", group=SURFACE
     )
@@ -97,7 +104,10 @@ class MeshOptions:
         None, "rounds of smoothing that keeps the volume (default: 40; 0 where the field has signed distances)",
         flag="--smooth", metavar="N", group=SURFACE,
     )  # fmt: skip
-    max_faces: int | None = option(None, "decimate each part to at most N triangles", metavar="N", group=SURFACE)
+    max_faces: int | None = option(
+        None, "decimate each part to at most N triangles (default: 20,000 with a texture, 150,000 at the finer of the "
+        "default resolutions)", metavar="N", group=SURFACE,
+    )  # fmt: skip
     formats: tuple[str, ...] = option(
         ("glb", "ply", "obj"), "glb, ply, obj, stl, usdz (default: glb ply obj)", metavar="F", group=WRITTEN
     )
@@ -157,6 +167,24 @@ class MeshOptions:
         if given.get("rig") is False:
             preset.pop("page", None)
         return cls(**(preset | given))
+
+    def settled(self, part: Part, distances: bool) -> Self:
+        """These settings with resolution and smoothing that are not left open, and the faces that go with them.
+
+        Args:
+            part: Which is meshed.
+            distances: Its surface is an isosurface of signed distances: it is not smoothed unless that is asked for,
+                and found on a finer grid, of which no volume is kept, and reduced to `FINE_FACES`.
+        """
+        resolution, faces = self.resolution, self.max_faces
+        if faces is None and self.texture is not None:
+            faces = MAX_FACES
+        if resolution is None:
+            fine = distances and part != "eyes" and not self.volumes
+            resolution = FINE_RESOLUTION if fine else RESOLUTION
+            faces = FINE_FACES if fine and faces is None else faces
+        smoothing = (0 if distances else SMOOTHED) if self.smoothing is None else self.smoothing
+        return replace(self, resolution=resolution, max_faces=faces, smoothing=smoothing)
 
     def check(self) -> None:
         """Raise UserError for settings that cannot be."""

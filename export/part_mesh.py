@@ -13,11 +13,11 @@ import trimesh
 from gazenerf.errors import UserError
 from gazenerf.export.appearance.colours import blend_colours, part_pictures, with_vertex_colours
 from gazenerf.export.appearance.points import PointCloud, sample_points
-from gazenerf.export.appearance.texture import MAX_FACES, TexturedMesh, bake_texture
+from gazenerf.export.appearance.texture import TexturedMesh, bake_texture
 from gazenerf.export.mesh.cleaning import Cleaning
 from gazenerf.export.mesh.normals import vertex_normals
 from gazenerf.export.mesh.repair import self_intersections
-from gazenerf.export.options import SMOOTHED, MeshOptions
+from gazenerf.export.options import MeshOptions
 from gazenerf.export.surface.coverage import Coverage, RenderedDepth, coverage
 from gazenerf.export.surface.densities import DensityGrid, grid_shape, sample_density
 from gazenerf.export.surface.density_surface import KEPT_COMPONENTS, Surface, density_surface, part_box
@@ -83,13 +83,12 @@ def extract_part(
     if part not in PARTS:
         raise UserError(f"unknown part {part!r}; there are {', '.join(PARTS)}")
     options.check()
-    max_faces = MAX_FACES if options.texture is not None and options.max_faces is None else options.max_faces
-    exact = bound.surface_spread is not None and options.surface == "isosurface"
-    smoothing = (0 if exact else SMOOTHED) if options.smoothing is None else options.smoothing
+    options = options.settled(part, bound.surface_spread is not None and options.surface == "isosurface")
+    assert options.resolution is not None and options.smoothing is not None
     cleaning = Cleaning(
         KEPT_COMPONENTS[part],
-        smoothing,
-        max_faces,
+        options.smoothing,
+        options.max_faces,
         holes=options.holes_mm / (1000.0 * bound.metres_per_unit),
         seen=options.seen,
         repair=options.repair,

@@ -10,9 +10,11 @@ import trimesh
 
 from gazenerf.errors import UserError
 from gazenerf.export.mesh.cleaning import keep_largest
+from gazenerf.export.mesh.sphere_fit import Eyeball, fit_eyeballs
 from gazenerf.export.surface.coverage import RenderedDepth
 from gazenerf.export.surface.densities import DensityGrid, extent, fill_enclosed, sample_density
 from gazenerf.export.surface.isosurface import isosurface
+from gazenerf.export.surface.lids import closed_lids
 from gazenerf.export.surface.refine import refine_density, refine_grid
 from gazenerf.export.surface.threshold import CANDIDATES, Threshold, choose_threshold
 from gazenerf.heads.interface import BoundField, Part
@@ -110,13 +112,26 @@ def density_surface(
         )
     grid, other = volumes(resolution, (chosen.level, chosen.level), dense)
     queries += grid.queries + (other.queries if other else 0)
-    solid = grid if part == "eyes" else fill_enclosed(grid, other, chosen.level)
-    steps = ["every grid point's density" if dense else "coarse-to-fine density"]
-    steps += [*(() if part == "eyes" else ("enclosed space filled",)), method.replace("-", " ")]
     shape, spacing, volume = grid.values.shape, grid.spacing, grid if dense else None
+    steps = ["every grid point's density" if dense else "coarse-to-fine density"]
+    if spread is not None and other is not None and (eyes := _eyeballs(other, chosen.level, method, spread)):
+        before, grid = grid.queries, closed_lids(bound, grid, eyes, spread)
+        queries += grid.queries - before
+        steps.append("lids closed onto the eyeballs")
+    solid = grid if part == "eyes" else fill_enclosed(grid, other, chosen.level)
+    steps += [*(() if part == "eyes" else ("enclosed space filled",)), method.replace("-", " ")]
     del grid, other
     mesh = isosurface(solid, chosen.level, method, spread)
     return Surface(mesh, shape, spacing, queries, tuple(steps), chosen, volume)
+
+
+def _eyeballs(eyes: DensityGrid, level: float, method: str, spread: float) -> tuple[Eyeball, ...]:
+    """Spheres fitted to the eyes' surfaces; none where they are not round."""
+    try:
+        surface = keep_largest(isosurface(eyes, level, method, spread), KEPT_COMPONENTS["eyes"])
+        return fit_eyeballs(surface)
+    except UserError:
+        return ()
 
 
 def _sockets(bound: BoundField, box: np.ndarray) -> tuple[np.ndarray | None, int]:

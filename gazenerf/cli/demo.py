@@ -128,7 +128,7 @@ def stages(options: Options) -> list[Stage]:
     check_options = check.Options(out=out / "check", **source)
     if options.quick:
         check_options = replace(check_options, views=3, gazes=QUICK_GAZES, size=128, iris_size=256, error_mesh=False)
-    frames, resolution = (24, 96) if options.quick else (90, 160)
+    frames, resolution = (24, 96) if options.quick else (90, None)
     rig: dict[str, Any] = {"texture": TEXTURE, "rig": True, "page": True}
     return [
         Stage("orbit", orbit.Options(out=out / "orbit.mp4", frames=frames, gaze_path="circle", **source), make_orbit),

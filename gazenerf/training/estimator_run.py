@@ -39,6 +39,7 @@ class EstimatorOptions:
         network: A name of `NETWORKS`.
         held_out: People (the last ones) that are only measured.
         test: Captures of other people, only measured.
+        more: Folders of captures, all of whose people are learned from, too.
         initial: Weights of an ImageNet ResNet50 to start from.
         epochs, batch, learning_rate, seed: See `EpochSettings`; by network where not given.
         device: Where ResNet50 learns; the small network always learns on the CPU.
@@ -49,6 +50,7 @@ class EstimatorOptions:
     network: str = option("resnet50", "resnet50 (default), or small, as the bundled one", choices=NETWORKS)
     held_out: int = option(1, "people (the last ones) only measured, as given to `gazenerf train`", metavar="N")
     test: Path | None = option(None, "captures of other people, only measured", metavar="DIR")
+    more: tuple[Path, ...] = option((), "captures of other people to learn from, too, of any size", metavar="DIR")
     initial: Path | None = option(
         None, "start from these weights of torchvision's or timm's ResNet50", flag="--from", metavar="FILE"
     )
@@ -108,9 +110,15 @@ def train_estimator(options: EstimatorOptions, progress: Progress = silent) -> T
     settings, device = options.settings(), choose_device(options.device)
     manifest = read_manifest(options.data)
     learned, kept = split_shards(options.data, options.held_out)
+    more = [shard for folder in options.more for shard in shards_of(folder)]
     sets = {"held_out_people": kept} | ({"test_set": shards_of(options.test)} if options.test is not None else {})
-    about = {"network": options.network, "people": len({person_of(path) for path in learned}), "data": manifest}
-    run = _Run(options, settings, device, learned, sets, about, options.out.with_suffix(".state.pt"), progress)
+    people = len({(path.parent, person_of(path)) for path in (*learned, *more)})
+    about = {"network": options.network, "people": people, "data": manifest}
+    if options.more:
+        about["more_data"] = [read_manifest(folder) for folder in options.more]
+    run = _Run(
+        options, settings, device, [*learned, *more], sets, about, options.out.with_suffix(".state.pt"), progress
+    )
     written = _train_small(run) if options.network == "small" else _train_resnet(run)
     report = options.out.with_suffix(".json")
     with whole_file(report) as temporary:

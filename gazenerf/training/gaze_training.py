@@ -23,6 +23,9 @@ VISIBLE_SHARE = 2e-4
 JITTER = 5
 """Whole pixels of the resized picture by which training moves the eye windows, at most."""
 
+SOFTEST = (0.4, 0.8)
+"""Shares of their size to which training takes some eye windows down and back up, as smaller pictures are."""
+
 MEASURE_EVERY = 10
 """Epochs between two measurements on held-out pictures."""
 
@@ -222,9 +225,10 @@ def _augmented(
     gaze[flip, 1] *= -1.0
     eyes[flip] = eyes[flip].flip(1) * eyes.new_tensor([-1.0, 1.0])
     towards[flip, 0] *= -1.0
-    soft = torch.rand(n) < 0.3
+    soft = torch.rand(n) < 0.4
     if bool(soft.any()):
-        less = F.interpolate(windows[soft].flatten(0, 1), scale_factor=0.5, mode="area")
+        factor = float(torch.empty(1).uniform_(*SOFTEST))
+        less = F.interpolate(windows[soft].flatten(0, 1), scale_factor=factor, mode="area")
         blurred = F.interpolate(less, WINDOW, mode="bilinear", align_corners=False)
         windows[soft] = blurred.reshape(-1, 2, 3, *WINDOW)
     gain = 1.0 + 0.25 * (2.0 * torch.rand(n, 1, 1, 1) - 1.0) + 0.08 * torch.randn(n, 3, 1, 1)

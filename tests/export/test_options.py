@@ -32,3 +32,21 @@ def test_a_presets_rig_goes_with_the_parts_it_needs():
 
 def test_words_given_twice_count_once():
     assert MeshOptions(parts=("face", "eyes", "face"), formats=("glb", "glb")) == MeshOptions(formats=("glb",))
+
+
+def test_what_is_left_open_depends_on_how_the_surface_is_known():
+    settled = MeshOptions().settled("face", distances=True)
+    assert (settled.resolution, settled.smoothing, settled.max_faces) == (320, 0, 150_000)
+    eyes = MeshOptions().settled("eyes", distances=True)
+    assert (eyes.resolution, eyes.smoothing, eyes.max_faces) == (192, 0, None)
+    plain = MeshOptions().settled("face", distances=False)
+    assert (plain.resolution, plain.smoothing, plain.max_faces) == (192, 40, None)
+    assert MeshOptions(volumes=("npz",)).settled("face", distances=True).resolution == 192
+    textured = MeshOptions(texture=1024).settled("face", distances=True)
+    assert (textured.resolution, textured.max_faces) == (320, 20_000)
+
+
+def test_what_is_given_is_not_settled_otherwise():
+    given = MeshOptions(resolution=64, smoothing=3)
+    assert given.settled("face", distances=True) == given
+    assert MeshOptions(max_faces=500).settled("head", distances=True).max_faces == 500

@@ -53,6 +53,20 @@ def test_captures_become_weights_and_a_report(options, network, kind):
     assert sorted(path.name for path in options.out.parent.iterdir()) == ["captures", "e.json", "e.safetensors"]
 
 
+@pytest.mark.parametrize("network", ["resnet50", "small"])
+def test_more_captures_of_another_size_are_learned_from_too(options, network):
+    others = options.data.with_name("others")
+    write_manifest(others, {"code_sizes": [4, 3, 5, 27], "seed": 7})
+    for person in range(2):
+        write_shard(others, [toy_capture(person, view, 48) for view in range(3)])
+    report = train_estimator(replace(options, network=network, more=(others,))).about
+    assert report["people"] == 4 and report["training"]["pictures"] == 8 + 6
+    assert [more["seed"] for more in report["more_data"]] == [7]
+    assert report["held_out"]["held_out_people"]["pictures"] == 4
+    with pytest.raises(UserError, match=r"no captures in .*nowhere"):
+        train_estimator(replace(options, out=options.out.with_name("f.safetensors"), more=(others / "nowhere",)))
+
+
 def test_a_run_that_was_cut_short_goes_on_as_if_it_was_not(options):
     class Killed(Exception):
         pass
