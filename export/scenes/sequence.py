@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -15,8 +16,9 @@ from gazenerf.errors import UserError
 from gazenerf.export.formats.nodes import Morph
 from gazenerf.export.mesh.sphere_fit import Eyeball
 from gazenerf.export.scenes.rig import Scene, eyes_clip
+from gazenerf.export.surface.lids import ClosedFace
 from gazenerf.geometry import Gaze
-from gazenerf.heads.interface import BoundField, HeadField
+from gazenerf.heads.interface import BoundField, HeadField, Part
 from gazenerf.progress import Progress, silent
 
 MAX_GAZES = 240
@@ -58,8 +60,28 @@ class Follow:
     after_mm: float
 
 
+class Solid(Protocol):
+    """Something that has a density: a bound field, or its face with closed lids."""
+
+    metres_per_unit: float
+
+    @property
+    def device(self) -> torch.device:
+        """Where the densities are computed."""
+        ...
+
+    def density(self, points: torch.Tensor, part: Part) -> torch.Tensor:
+        """(N,) per world unit at points (N, 3), world units."""
+        ...
+
+
+def _followed(bound: BoundField, eyes: Sequence[Eyeball]) -> Solid:
+    """What a face's vertices follow: its density, with closed lids where `density_surface` closes them."""
+    return bound if bound.surface_spread is None else ClosedFace(bound, eyes)
+
+
 def face_crossings(
-    bound: BoundField, points: np.ndarray, normals: np.ndarray, level: float, rings: Sequence[int] = RINGS
+    bound: Solid, points: np.ndarray, normals: np.ndarray, level: float, rings: Sequence[int] = RINGS
 ) -> np.ndarray:
     """How far from points (V, 3) along normals (V, 3) the face's density falls to a level, (V,) world units.
 
@@ -106,7 +128,7 @@ def _nearest_fall(density: np.ndarray, steps: np.ndarray, level: float) -> np.nd
 
 
 def follow_gaze(
-    bound: BoundField,
+    bound: Solid,
     rest: np.ndarray,
     points: np.ndarray,
     normals: np.ndarray,
@@ -188,11 +210,11 @@ def face_morphs(
     radii = np.min([np.linalg.norm(points - eye.centre, axis=1) / eye.radius for eye in eyes], axis=0)
     share = np.clip((NEAR - radii) / (NEAR - FULL), 0.0, 1.0)
     crossings = np.full(len(points), np.nan)
-    crossings[share > 0] = face_crossings(bound, points[share > 0], outward[share > 0], level)
+    crossings[share > 0] = face_crossings(_followed(bound, eyes), points[share > 0], outward[share > 0], level)
     plain = trimesh.Trimesh(points, faces, process=False).vertex_normals
     morphs, followed = [], []
     for i, gaze in enumerate(gazes):
-        follow = follow_gaze(head.at(gaze), crossings, points, outward, links, share, level)
+        follow = follow_gaze(_followed(head.at(gaze), eyes), crossings, points, outward, links, share, level)
         offsets = follow.moves[:, None] * outward
         turned = trimesh.Trimesh(points + offsets, faces, process=False).vertex_normals
         near = (follow.moves != 0.0) | (links @ (follow.moves != 0.0) > 0)

@@ -11,11 +11,12 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
+from scipy import ndimage
 
 from gazenerf.export.mesh.sphere_fit import Eyeball
-from gazenerf.export.surface.densities import DensityGrid, query
+from gazenerf.export.surface.densities import DensityGrid, grid_points, query
 from gazenerf.field.distance import laplace_density, laplace_distance
-from gazenerf.heads.interface import BoundField
+from gazenerf.heads.interface import BoundField, Part
 
 REACH_MM = 5.0
 """How far above the eyeball a lid lies, at most."""
@@ -29,12 +30,22 @@ RECESS_MM, RECESS_CELLS = 0.8, 0.4
 STEP_MM = 0.25
 """Between two places at which lids are looked for."""
 
+BEHIND_MM = 1.0
+"""How far below a point the same lid is looked for, to tell how thick it is."""
+
 FRONT = 0.15
 """Least cosine between the way out of an eyeball and the head's forward axis: lids lie there."""
 
 STEEP = 4.0
 """A sheet that ends in an edge is at most half its thickness deep in the middle; depths count so many times, that they
 are more like distances from the edge."""
+
+GRID_MM = 1.2
+"""Cells of the grids from which `ClosedFace` is read; what it shows is thicker than they are."""
+
+FAINT_MM, SOUND_MM = 0.15, 0.5
+"""A learned distance passes a lid that is thinner than it can follow without becoming negative: up to so little above 0
+counts as the lid, and less where the lid is deeper, nothing where it is as deep as the second number."""
 
 FLATTEST = 0.2
 """Cosine between a way and a lid's normal down to which a way's length tells of the depth below the lid."""
@@ -70,9 +81,53 @@ def closed_lids(bound: BoundField, face: DensityGrid, eyes: Sequence[Eyeball], s
         joined[asked] = np.minimum(joined[asked], below)
         here = tuple(index.T)
         deeper = laplace_density(torch.from_numpy(joined.astype(np.float32)), spread).numpy()
-        values[here] = np.maximum(values[here], deeper)
+        values[here] = np.where(asked, deeper, np.maximum(values[here], deeper))
         queries += more
     return DensityGrid(values, face.origin, face.spacing, queries)
+
+
+class ClosedFace:
+    """A bound field's face with its lids closed, at any point; what follows the lids of another gaze asks this.
+
+    About the eyes it is read off grids of `GRID_MM`, elsewhere it is the field's own.
+
+    Args:
+        bound: Whose densities follow from signed distances.
+        eyes: Left and right, world units.
+    """
+
+    def __init__(self, bound: BoundField, eyes: Sequence[Eyeball]) -> None:
+        assert bound.surface_spread is not None
+        self._bound, self._spread = bound, bound.surface_spread
+        self.metres_per_unit, self.device = bound.metres_per_unit, bound.device
+        self._grids = [self._about(eye) for eye in eyes]
+
+    def _about(self, eye: Eyeball) -> tuple[DensityGrid, np.ndarray]:
+        """The grid about an eye and the distances that its densities mean."""
+        unit = 1.0 / (1000.0 * self.metres_per_unit)
+        spacing, reach = GRID_MM * unit, eye.radius + (REACH_MM + GRID_MM) * unit
+        side = int(np.ceil(2.0 * reach / spacing)) + 1
+        shape, origin = (side, side, side), np.asarray(eye.centre, np.float64) - reach
+        points = grid_points(np.arange(side**3), shape, origin, spacing)
+        values = query(self._bound, points, "face").reshape(shape)
+        closed = closed_lids(self._bound, DensityGrid(values, origin, spacing, side**3), [eye], self._spread)
+        return closed, laplace_distance(torch.from_numpy(closed.values), self._spread).numpy()
+
+    def density(self, points: torch.Tensor, part: Part = "face") -> torch.Tensor:
+        """Of the face at points (N, 3), per world unit (N,)."""
+        assert part == "face"
+        places = points.double().numpy()
+        distance, known = np.zeros(len(places), np.float32), np.zeros(len(places), bool)
+        for grid, distances in self._grids:
+            at = (places - grid.origin) / grid.spacing
+            inside = ((at >= 0.0) & (at <= np.array(distances.shape) - 1)).all(axis=1)
+            distance[inside] = ndimage.map_coordinates(distances, at[inside].T, order=1)
+            known |= inside
+        density = laplace_density(torch.from_numpy(distance), self._spread)
+        rest = torch.from_numpy(~known)
+        if bool(rest.any()):
+            density[rest] = self._bound.density(points[rest], "face").float().cpu()
+        return density
 
 
 def _points_around(grid: DensityGrid, centre: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
@@ -98,13 +153,17 @@ def _below_lids(
         unit: World units in a millimetre.
     """
     step = STEP_MM * unit
-    ways = step * np.arange(int(np.ceil((room.max(initial=0.0) + BEYOND_MM * unit) / step)) + 1)
+    behind = int(BEHIND_MM / STEP_MM)
+    ways = step * np.arange(-behind, int(np.ceil((room.max(initial=0.0) + BEYOND_MM * unit) / step)) + 1)
     found, queries = np.full((len(points), len(ways)), np.inf, dtype=np.float32), 0
     for i, way in enumerate(ways):
         asked = way <= room + BEYOND_MM * unit
         density = query(bound, points[asked] + way * outwards[asked], "face")
         found[asked, i] = laplace_distance(torch.from_numpy(density), spread).numpy()
         queries += int(asked.sum())
+    deepest = np.where(ways <= room[:, None], found, np.inf).min(axis=1, initial=np.inf)
+    found = (found - (FAINT_MM * unit * np.clip(1.0 + deepest / (SOUND_MM * unit), 0.0, 1.0))[:, None])[:, behind:]
+    ways = ways[behind:]
     nearest = np.where(ways <= room[:, None], found, np.inf).min(axis=1, initial=np.inf)
     leaves = (found[:, :-1] <= 0.0) & (found[:, 1:] > 0.0) & np.isfinite(found[:, 1:])
     row, last = np.arange(len(points)), leaves.shape[1] - 1 - leaves[:, ::-1].argmax(axis=1)

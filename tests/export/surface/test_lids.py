@@ -8,9 +8,10 @@ import torch
 
 from gazenerf.export.mesh.rays import RayCaster
 from gazenerf.export.mesh.sphere_fit import Eyeball
+from gazenerf.export.scenes.sequence import face_crossings
 from gazenerf.export.surface.densities import fill_enclosed
 from gazenerf.export.surface.isosurface import isosurface
-from gazenerf.export.surface.lids import RECESS_MM, closed_lids
+from gazenerf.export.surface.lids import RECESS_MM, ClosedFace, closed_lids
 from gazenerf.export.surface.refine import refine_grid
 from gazenerf.field.distance import laplace_density
 
@@ -23,23 +24,31 @@ LID = (12.8 * MM, 13.4 * MM)
 OPENING = np.deg2rad(35.0)
 """Half of the angle of the round opening between the lids."""
 SPACING = 1.7 * MM
+EYE = Eyeball(np.zeros(3), RADIUS, 0.0, 100, 1.0)
 
 
 class OneEye:
-    """A block with a socket that a lid covers but for a round opening, and an eyeball in it; world units."""
+    """A block with a socket that a lid covers but for a round opening, and an eyeball in it; world units.
+
+    Args:
+        opening: Half of its angle.
+    """
 
     metres_per_unit = 0.1
     device = torch.device("cpu")
     surface_spread = SPREAD
+
+    def __init__(self, opening: float = OPENING) -> None:
+        self.opening = opening
 
     def face_distance(self, points: torch.Tensor) -> torch.Tensor:
         """(N,) negative inside."""
         away = points.norm(dim=-1)
         angle = torch.atan2(points[:, :2].norm(dim=-1), points[:, 2])
         middle, half = 0.5 * (LID[0] + LID[1]), 0.5 * (LID[1] - LID[0])
-        beside = away * torch.sin((OPENING - angle).clamp(0.0, 1.5))
+        beside = away * torch.sin((self.opening - angle).clamp(0.0, 1.5))
         outward = (away - middle).abs() - half
-        sheet = torch.where(angle > OPENING, outward, torch.hypot(beside, outward.clamp(min=0.0)))
+        sheet = torch.where(angle > self.opening, outward, torch.hypot(beside, outward.clamp(min=0.0)))
         block = torch.stack(
             [points[:, :2].abs().amax(dim=-1) - 18 * MM, points[:, 2] - 4 * MM, -10 * MM - points[:, 2]]
         )
@@ -61,7 +70,7 @@ def grid():
 @pytest.fixture(scope="module")
 def closed(grid):
     """The same with its lids closed."""
-    return closed_lids(OneEye(), grid, [Eyeball(np.zeros(3), RADIUS, 0.0, 100, 1.0)], SPREAD)
+    return closed_lids(OneEye(), grid, [EYE], SPREAD)
 
 
 def lid_edges(density) -> tuple[np.ndarray, float]:
@@ -110,5 +119,38 @@ def test_far_from_the_eyes_nothing_changes_and_the_grid_is_not_written_into(grid
     assert np.array_equal(before.values, grid.values)
     back = (slice(None), slice(None), 0)
     assert np.array_equal(closed.values[back], grid.values[back])
-    assert (closed.values >= grid.values).all()
     assert closed.queries > grid.queries
+
+
+def test_where_a_lid_comes_over_the_eye_the_floor_rises_to_it_and_where_it_leaves_the_lid_sinks():
+    angles = np.deg2rad([0.0, 10.0, 27.0, 29.0, 50.0])
+    outwards = np.stack([np.sin(angles), 0.0 * angles, np.cos(angles)], axis=-1)
+    open_, narrow = ClosedFace(OneEye(), [EYE]), ClosedFace(OneEye(np.deg2rad(22.0)), [EYE])
+    floor = RADIUS - RECESS_MM * MM
+    rest = face_crossings(open_, floor * outwards, outwards, LEVEL)
+    there = face_crossings(narrow, floor * outwards, outwards, LEVEL)
+    np.testing.assert_allclose((rest + floor)[:4], floor, atol=0.1 * MM)
+    np.testing.assert_allclose((there + floor)[2:4], LID[1], atol=0.2 * MM)
+    np.testing.assert_allclose(there[[0, 1, 4]], rest[[0, 1, 4]], atol=0.1 * MM)
+    back = face_crossings(open_, LID[1] * outwards[2:4], outwards[2:4], LEVEL)
+    np.testing.assert_allclose(LID[1] + back, floor, atol=0.1 * MM)
+
+
+def test_away_from_the_eyes_the_closed_face_is_the_fields_own():
+    points = torch.tensor([[0.3, 0.0, -0.05], [0.179, 0.1, -0.05], [-0.25, 0.2, 0.0]])
+    own = OneEye().density(points, "face")
+    torch.testing.assert_close(ClosedFace(OneEye(), [EYE]).density(points, "face"), own, rtol=0.3, atol=1.0)
+    assert torch.equal(ClosedFace(OneEye(), [EYE]).density(points[:1], "face"), own[:1])
+
+
+def test_a_lid_that_a_learned_distance_passes_just_above_zero_is_there_still():
+    class Faint(OneEye):
+        def face_distance(self, points):
+            own = super().face_distance(points)
+            return torch.where((own < 0.0) & (points[:, 2] > 4 * MM), own + 0.38 * MM, own)
+
+    angles = np.deg2rad([10.0, 45.0, 55.0])
+    outwards = np.stack([np.sin(angles), 0.0 * angles, np.cos(angles)], axis=-1)
+    floor = RADIUS - RECESS_MM * MM
+    raised = floor + face_crossings(ClosedFace(Faint(), [EYE]), floor * outwards, outwards, LEVEL)
+    assert raised[0] < RADIUS and (raised[1:] > 0.5 * (LID[0] + LID[1])).all()
