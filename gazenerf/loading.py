@@ -21,8 +21,9 @@ def load(
 
     Args:
         subject: A bundled name or a subject file; the first bundled one by default.
-        checkpoint: A bundled field's name (`portrait-sdf`, `portrait`, `small`) or a field's file; by
-            default the bundled one that the subject was fitted with, else `portrait-sdf`.
+        checkpoint: A bundled field's name (`portrait-sdf`, `portrait`, `small`), a field's file, a folder that
+            holds one, or `hf://OWNER/NAME`; by default the bundled one that the subject was fitted with,
+            else `portrait-sdf`.
         device: `auto` (a CUDA GPU where PyTorch sees one), `cpu`, `cuda` or `cuda:N`.
         precision: Of matrix products, one of `gazenerf.devices.PRECISIONS`.
 

@@ -22,7 +22,8 @@ class SourceArguments:
 
     Attributes:
         subject: A bundled name or a subject file; the first bundled one by default.
-        checkpoint: A bundled field's name or a file of weights; `portrait-sdf` by default.
+        checkpoint: A bundled field's name, a file of weights, a folder that holds them, or `hf://OWNER/NAME`;
+            `portrait-sdf` by default.
         device: Where the field is computed.
         precision: Of matrix products.
     """
@@ -32,7 +33,8 @@ class SourceArguments:
     )
     checkpoint: Path | None = option(
         None, "portrait-sdf (512 px, smooth surfaces), portrait (512 px, densities alone) or small (256 px), which are "
-        "bundled, or a file (default: portrait-sdf)", metavar="FIELD",
+        "bundled, a file, the folder of a run or of `gazenerf share`, or hf://OWNER/NAME (default: portrait-sdf)",
+        metavar="FIELD",
     )  # fmt: skip
 
     device: str = option(

@@ -41,7 +41,8 @@ class EvaluateOptions:
     Attributes:
         data: Folder of captures.
         out: JSON report.
-        checkpoint: Field to measure, a bundled name or a file; `portrait-sdf` by default.
+        checkpoint: Field to measure: a bundled name, a file, a folder that holds one, or `hf://OWNER/NAME`;
+            `portrait-sdf` by default.
         held_out, held_out_views: As given to training.
         limit: At most so many captures of each person, evenly spread; of protocol `paper` at most so many pairs.
         protocol: `captures` renders what was kept out of training again (`gazenerf.evaluation.run`), `paper` redirects
@@ -58,8 +59,9 @@ class EvaluateOptions:
     data: Path = option(help="captures from `gazenerf synthesize`", metavar="DIR")
     out: Path = option(help="JSON report", metavar="FILE")
     checkpoint: Path | None = option(
-        None, "portrait-sdf, portrait or small, which are bundled, or a file (default: portrait-sdf)", metavar="FIELD"
-    )
+        None, "portrait-sdf, portrait or small, which are bundled, a file, the folder of a run or of `gazenerf share`, "
+        "or hf://OWNER/NAME (default: portrait-sdf)", metavar="FIELD",
+    )  # fmt: skip
     held_out: int = option(1, "as given to `gazenerf train`", metavar="N")
     held_out_views: float = option(0.05, "as given to train", metavar="SHARE")
     limit: int | None = option(None, "at most N captures, or pairs, of each person", metavar="N")
