@@ -31,7 +31,7 @@ def test_the_head_model_is_at_its_own_place(head, face):
     reference, mm = Reference(head), 1000.0 * head.metres_per_unit
     own = np.unique(face.faces)
     assert reference.distances(np.asarray(face.vertices)[own], mm)["p90_mm"] < 1e-2
-    assert reference.normal_error(face, np.asarray(head.normals)) < 0.1
+    assert max(reference.normal_error(face, np.asarray(head.normals))) < 0.1
 
 
 def test_a_millimetre_outward_reads_as_one_and_turned_normals_as_turned(head, face):
@@ -39,7 +39,7 @@ def test_a_millimetre_outward_reads_as_one_and_turned_normals_as_turned(head, fa
     own = np.unique(face.faces)
     found = reference.distances((np.asarray(face.vertices) + head.normals / mm)[own], mm)
     assert found["median_mm"] == pytest.approx(1.0, abs=0.1) and found["outward_mm"] == pytest.approx(1.0, abs=0.1)
-    assert reference.normal_error(face, -np.asarray(head.normals)) > 179.0
+    assert min(reference.normal_error(face, -np.asarray(head.normals))) > 179.0
 
 
 def test_a_row_is_the_mesh_s_and_the_gradient_is_the_sphere_s(head):
