@@ -111,13 +111,12 @@ def density_surface(
             part, judged, threshold, candidate, rendered or (lambda: RenderedDepth.of(bound, part))
         )
     grid, other = volumes(resolution, (chosen.level, chosen.level), dense)
-    queries += grid.queries + (other.queries if other else 0)
     shape, spacing, volume = grid.values.shape, grid.spacing, grid if dense else None
     steps = ["every grid point's density" if dense else "coarse-to-fine density"]
     if spread is not None and other is not None and (eyes := _eyeballs(other, chosen.level, method, spread)):
-        before, grid = grid.queries, closed_lids(bound, grid, eyes, spread)
-        queries += grid.queries - before
+        grid = closed_lids(bound, grid, eyes, spread)
         steps.append("lids closed onto the eyeballs")
+    queries += grid.queries + (other.queries if other else 0)
     solid = grid if part == "eyes" else fill_enclosed(grid, other, chosen.level)
     steps += [*(() if part == "eyes" else ("enclosed space filled",)), method.replace("-", " ")]
     del grid, other

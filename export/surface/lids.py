@@ -14,7 +14,7 @@ import torch
 from scipy import ndimage
 
 from gazenerf.export.mesh.sphere_fit import Eyeball
-from gazenerf.export.surface.densities import DensityGrid, grid_points, query
+from gazenerf.export.surface.densities import DensityGrid, query, sample_density
 from gazenerf.field.distance import laplace_density, laplace_distance
 from gazenerf.heads.interface import BoundField, Part
 
@@ -107,10 +107,9 @@ class ClosedFace:
         unit = 1.0 / (1000.0 * self.metres_per_unit)
         spacing, reach = GRID_MM * unit, eye.radius + (REACH_MM + GRID_MM) * unit
         side = int(np.ceil(2.0 * reach / spacing)) + 1
-        shape, origin = (side, side, side), np.asarray(eye.centre, np.float64) - reach
-        points = grid_points(np.arange(side**3), shape, origin, spacing)
-        values = query(self._bound, points, "face").reshape(shape)
-        closed = closed_lids(self._bound, DensityGrid(values, origin, spacing, side**3), [eye], self._spread)
+        corner = np.asarray(eye.centre, np.float64) - reach
+        face = sample_density(self._bound, "face", np.stack([corner, corner + spacing * (side - 1)]), side)
+        closed = closed_lids(self._bound, face, [eye], self._spread)
         return closed, laplace_distance(torch.from_numpy(closed.values), self._spread).numpy()
 
     def density(self, points: torch.Tensor, part: Part = "face") -> torch.Tensor:
@@ -124,9 +123,8 @@ class ClosedFace:
             distance[inside] = ndimage.map_coordinates(distances, at[inside].T, order=1)
             known |= inside
         density = laplace_density(torch.from_numpy(distance), self._spread)
-        rest = torch.from_numpy(~known)
-        if bool(rest.any()):
-            density[rest] = self._bound.density(points[rest], "face").float().cpu()
+        if not known.all():
+            density[torch.from_numpy(~known)] = torch.from_numpy(query(self._bound, places[~known], "face"))
         return density
 
 
