@@ -22,7 +22,7 @@ from gazenerf.checkpoints import load_field
 from gazenerf.data.surface_points import draw_person
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model import load_head_model
-from gazenerf.head_model.interface import FACE, HeadMesh
+from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, FACE, HeadMesh
 from gazenerf.head_model.ray_scenes import ray_scene, tensor
 from gazenerf.heads import Head
 from gazenerf.subjects import Codes, Subject
@@ -37,7 +37,7 @@ SEED, LEAST = 4711, 100
 def eye_rays(mesh: HeadMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of pixels that look at an eyeball: (N, 3) points on it, (N, 3) directions, (N,) whether no skin is before."""
     camera = Camera.neutral(SIZE)
-    eyes = mesh.part_faces(*(part for part in np.unique(mesh.face_part) if part != FACE))
+    eyes = mesh.part_faces(EYE_LEFT, EYE_RIGHT)
     skin = mesh.part_faces(FACE)
     pixels, _ = camera.project(mesh.vertices[np.unique(eyes)])
     low, high = pixels.min(0).astype(int) - MARGIN, pixels.max(0).astype(int) + MARGIN

@@ -102,6 +102,18 @@ def centred(vertices: np.ndarray, eyes: list[np.ndarray]) -> np.ndarray:
     return vertices - middle[..., None, :] + np.array([0.0, 0.0, EYES_AHEAD_OF_EARS])
 
 
+def eyes_of(raw: dict[str, np.ndarray]) -> list[np.ndarray]:
+    """Vertices of the eyeballs, the subject's left first."""
+    quads = raw["quads"]
+    eyes = [
+        np.unique(quads[(quads >= low).all(1) & (quads < high).all(1)])
+        for low, high in ((14598, 14670), (14670, 14742))
+    ]
+    if eye_of(to_world(raw["neutral"]), eyes[0])[0][0] < 0:
+        eyes.reverse()
+    return eyes
+
+
 def crop(neutral: np.ndarray, quads: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Head and neck: kept quads (old indices), rim vertices in order, kept vertices (old indices)."""
     body = quads[(quads < 13380).all(axis=1)]
@@ -125,15 +137,10 @@ def build(count: int, seed: int) -> dict[str, np.ndarray]:
     """All arrays of the asset."""
     raw = sample_heads(count, seed)
     quads = raw["quads"]
-    eyes = [
-        np.unique(quads[(quads >= low).all(1) & (quads < high).all(1)])
-        for low, high in ((14598, 14670), (14670, 14742))
-    ]
+    eyes = eyes_of(raw)
     neutral = to_world(raw["neutral"])
-    if eye_of(neutral, eyes[0])[0][0] < 0:
-        eyes.reverse()
     samples, neutral = centred(to_world(raw["samples"]), eyes), centred(neutral, eyes)
-    actions = to_world(raw["actions"])
+    actions = all_actions = to_world(raw["actions"])
     kept, rim, used = crop(neutral, quads)
 
     def closed(vertices: np.ndarray) -> np.ndarray:
@@ -199,6 +206,7 @@ def build(count: int, seed: int) -> dict[str, np.ndarray]:
     faces = triangles(fine_quads)
     from head_appearance import find_landmarks, occlusion_of, paint  # beside this script
     from head_landmarks import place_landmarks
+    from head_mouth import place_mouth
 
     uv = np.zeros((len(neutral), 2))
     uv[quads.ravel()] = raw["uv"][raw["uv_quads"].ravel()]
@@ -226,6 +234,7 @@ def build(count: int, seed: int) -> dict[str, np.ndarray]:
         "landmarks": marks.astype(np.int32),
         "variance_kept": np.float32(kept_share),
     }
+    arrays |= place_mouth(arrays, samples, all_actions, used)
     # the brows are painted along the first marks, so these are replaced last
     return {**arrays, "landmarks": place_landmarks(arrays).astype(np.int32)}
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from gazenerf.errors import UserError
 from gazenerf.geometry import Camera
-from gazenerf.head_model.interface import FACE, HeadMesh
+from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, PICTURE_LABELS, HeadMesh
 from gazenerf.head_model.shading import dominant_direction, linear_to_srgb, spherical_harmonics
 
 VARIANT = "scalar_rgb"
@@ -149,7 +149,7 @@ class MitsubaScene:
         skin = {"type": "twosided", "skin": {"type": "diffuse", "reflectance": colour}}
         eye = {"type": "principled", "base_color": colour, "roughness": EYE_ROUGHNESS, "eta": CORNEA_INDEX}
         properties = mi.Properties()
-        properties["bsdf"] = mi.load_dict(skin if part == FACE else eye)
+        properties["bsdf"] = mi.load_dict(eye if part in (EYE_LEFT, EYE_RIGHT) else skin)
         shape = mi.Mesh(
             f"part{part}", len(used), faces.size // 3, properties, has_vertex_normals=True, has_vertex_texcoords=True
         )
@@ -157,7 +157,7 @@ class MitsubaScene:
         values = mi.traverse(shape)
         values["vertex_positions"] = mesh.vertices[used].astype(np.float32).ravel()
         values["vertex_normals"] = mesh.normals[used].astype(np.float32).ravel()
-        values["vertex_texcoords"] = np.full(2 * len(used), part + 1, np.float32)
+        values["vertex_texcoords"] = np.full(2 * len(used), PICTURE_LABELS[part], np.float32)
         values["faces"] = faces.astype(np.uint32).ravel()
         values.update()
         return shape

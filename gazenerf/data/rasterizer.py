@@ -13,7 +13,7 @@ import numpy as np
 
 from gazenerf.errors import UserError
 from gazenerf.geometry import Camera
-from gazenerf.head_model.interface import HeadMesh
+from gazenerf.head_model.interface import PICTURE_LABELS, HeadMesh
 from gazenerf.head_model.shading import shade
 
 NEAR, FAR = 1.0, 60.0
@@ -87,7 +87,7 @@ class Rasterizer:
         picture, _ = self._draw(scene, big, flags)
         image = cv2.resize(picture, self.size, interpolation=cv2.INTER_AREA)
         part = np.zeros(len(mesh.vertices), dtype=np.int64)
-        part[mesh.faces.ravel()] = np.repeat(mesh.face_part, 3)
+        part[mesh.faces.ravel()] = np.repeat(PICTURE_LABELS[mesh.face_part] - 1, 3)
         ids = np.concatenate([_PART_COLOURS[part], np.full((len(part), 1), 255, np.uint8)], axis=1)
         scene = self._scene(mesh, ids / 255.0, camera)
         with self._one_sample():

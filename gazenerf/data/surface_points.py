@@ -9,10 +9,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from gazenerf.geometry import Gaze
 from gazenerf.head_model.expressions import sample_expressions
-from gazenerf.head_model.interface import FACE, HeadMesh
+from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, FACE, MOUTH, HeadMesh
 from gazenerf.head_model.model import ParametricHead
 from gazenerf.head_model.ray_scenes import ray_scene, tensor
 from gazenerf.head_model.sampling import sample_person
@@ -36,9 +38,15 @@ FRONT, FRONT_SHARE = (-1.3, 0.3), 3.0
 LID_REACH, LIDS_SHARE = 1.3, 8.0
 """Skin within so many radii of an eyeball's centre and ahead of it, the lids, is sampled so much more densely."""
 
+MOUTH_SHARE = 3.0
+"""Teeth, gums and tongue that are seen are sampled so much more densely."""
+
 OPENINGS, LID_DEVIATIONS, AHEAD = 800, (0.005, 0.02), 0.06
 """More points about the face, so many each: near lids, with these standard deviations, and up to this far ahead of the
 eyeballs, world units. A lid half a millimetre thick too much, or a distance too small between lids, covers the eye."""
+
+BURIED = 1e-4
+"""World units by which a point of one closed surface lies inside another, as roots of teeth do, if it is not drawn."""
 
 BY_TRIANGLE = 0.5
 """Share of the points that are spread over triangles whatever their size: these are dense on ears, lips and lids."""
@@ -107,15 +115,15 @@ def lid_vertices(template: HeadMesh) -> np.ndarray:
     for centre, radius in _eyeballs(template):
         away = template.vertices - centre
         around |= (np.linalg.norm(away, axis=1) < LID_REACH * radius) & (away[:, 2] > 0.3 * radius)
-    around[np.unique(template.faces[template.face_part != FACE])] = False
+    around[np.unique(template.part_faces(EYE_LEFT, EYE_RIGHT, MOUTH))] = False
     return around
 
 
 def _eyeballs(mesh: HeadMesh) -> list[tuple[np.ndarray, float]]:
     """Centre and radius of both, world units."""
     found = []
-    for part in np.unique(mesh.face_part[mesh.face_part != FACE]):
-        vertices = mesh.vertices[np.unique(mesh.faces[mesh.face_part == part])]
+    for part in (EYE_LEFT, EYE_RIGHT):
+        vertices = mesh.vertices[np.unique(mesh.part_faces(part))]
         centre = 0.5 * (vertices.min(0) + vertices.max(0))
         found.append((centre, float(np.median(np.linalg.norm(vertices - centre, axis=1)))))
     return found
@@ -129,13 +137,19 @@ def points_of(
     Args:
         mesh: The person at this gaze.
         template: Of the same head model.
-        part: `face`, the skin, or `eyes`, both eyeballs.
+        part: `face`, the skin with what lies behind the lips, or `eyes`, both eyeballs.
         codes, gaze: Of the person.
         rng: Draws the points.
     """
-    faces = mesh.faces[(mesh.face_part == FACE) == (part == "face")]
+    surfaces = closed_surfaces(mesh, part)
+    faces = np.concatenate(surfaces)
     lids = lid_vertices(template)
     corners, weights = _on_surface(mesh, faces, part, lids, rng)
+    if len(surfaces) > 1:
+        drawn = (mesh.vertices[corners] * weights).sum(1).astype(np.float32)
+        outside = np.flatnonzero(signed_distance(mesh.vertices, drawn, *surfaces) > -BURIED)
+        kept = np.concatenate([outside, rng.choice(outside, SURFACE - len(outside))])
+        corners, weights = corners[kept], weights[kept]
     surface, normals, places = (
         (values[corners] * weights).sum(1) for values in (mesh.vertices, mesh.normals, template.vertices)
     )
@@ -149,9 +163,23 @@ def points_of(
         about += _about_openings(mesh, surface[lids[corners].all(1)], rng)
     points = np.concatenate(about).astype(np.float32)
     label = np.array([gaze.pitch, gaze.yaw], np.float32)
-    distance = signed_distance(mesh.vertices, faces, points)
+    distance = signed_distance(mesh.vertices, points, *surfaces)
     arrays = codes.shape_code, codes.appearance_code, label, surface, normals, places, points, distance
     return SurfacePoints(*(torch.from_numpy(np.asarray(value, np.float32))[None] for value in arrays))
+
+
+def closed_surfaces(mesh: HeadMesh, part: str) -> list[np.ndarray]:
+    """(F, 3) faces of each closed surface of a part: the skin, each row of teeth and the tongue, or each eyeball."""
+    if part != "face":
+        return [mesh.part_faces(EYE_LEFT), mesh.part_faces(EYE_RIGHT)]
+    behind = mesh.part_faces(MOUTH)
+    if not len(behind):
+        return [mesh.part_faces(FACE)]
+    edges = behind[:, [0, 1, 1, 2]].reshape(-1, 2)
+    count = len(mesh.vertices)
+    joined = coo_matrix((np.ones(len(edges), bool), (edges[:, 0], edges[:, 1])), (count, count))
+    label = connected_components(joined, directed=False)[1][behind[:, 0]]
+    return [mesh.part_faces(FACE), *(behind[label == one] for one in np.unique(label))]
 
 
 def _about_openings(mesh: HeadMesh, lids: np.ndarray, rng: np.random.Generator) -> list[np.ndarray]:
@@ -178,6 +206,8 @@ def _on_surface(
         area = area * np.where((a[:, 1] > FRONT[0]) & (a[:, 2] > FRONT[1]), FRONT_SHARE, 1.0)
         if mesh.occlusion is not None:
             often = np.where(mesh.occlusion[faces].mean(1) < HIDDEN, HIDDEN_SHARE, 1.0)
+        behind = np.arange(len(faces)) >= len(mesh.part_faces(FACE))
+        often = np.where(behind & (often == 1.0), MOUTH_SHARE, often)
         often = np.where(lids[faces].all(1), LIDS_SHARE * np.maximum(often, LIDS_HIDDEN), often)
     by_area, by_triangle = area * often, often
     share = (1.0 - BY_TRIANGLE) * by_area / by_area.sum() + BY_TRIANGLE * by_triangle / by_triangle.sum()
@@ -186,6 +216,17 @@ def _on_surface(
     return faces[chosen], np.stack([1.0 - root, root * (1.0 - other), root * other], axis=1)[..., None]
 
 
-def signed_distance(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """(N,) float32 distances of points (N, 3) from a closed mesh, negative inside, by Open3D."""
-    return ray_scene(vertices, faces).compute_signed_distance(tensor(points), nthreads=1).numpy()
+def signed_distance(vertices: np.ndarray, points: np.ndarray, *surfaces: np.ndarray) -> np.ndarray:
+    """(N,) float32 distances of points (N, 3) from all that closed surfaces hold, negative inside, by Open3D.
+
+    Where surfaces overlap (teeth end in the flesh of the jaw), inside means in any of them; there the distance is from
+    the one that is left last, at least.
+
+    Args:
+        vertices: (V, 3).
+        points: Where the distances are wanted.
+        surfaces: (F, 3) each.
+    """
+    wanted = tensor(points)
+    found = [ray_scene(vertices, faces).compute_signed_distance(wanted, nthreads=1).numpy() for faces in surfaces]
+    return np.min(found, axis=0)

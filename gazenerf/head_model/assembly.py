@@ -1,4 +1,4 @@
-"""Skin and two turned eyeballs become one head mesh."""
+"""Skin, two turned eyeballs, and what lies behind the lips become one head mesh."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import numpy as np
 
 from gazenerf.geometry import Gaze
 from gazenerf.head_model.eyes import build_eye_mesh
-from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, FACE, HeadMesh
+from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, FACE, MOUTH, HeadMesh
 from gazenerf.head_model.lids import lid_shadow
+from gazenerf.head_model.mouth import light_behind_lips
 
 
 def assemble(
@@ -21,8 +22,9 @@ def assemble(
     gaze: Gaze,
     metres_per_unit: float,
     occlusion: np.ndarray | None = None,
+    mouth: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None,
 ) -> HeadMesh:
-    """A head mesh with both eyes at a gaze.
+    """A head mesh with both eyes at a gaze. Vertices are those of the skin, the eyeballs and the mouth, in this order.
 
     Args:
         skin: (V, 3) posed skin, world units.
@@ -35,30 +37,35 @@ def assemble(
         gaze: Head frame.
         metres_per_unit: Size of a world unit.
         occlusion: (V,) share of the surroundings that the skin sees; None counts as all.
+        mouth: Vertices (M, 3), faces (F', 3) and albedo (M, 3) of teeth, gums and tongue, where there are any.
     """
     eye = build_eye_mesh()
     eye_albedo = eye.albedo(iris_codes)
     turned = (eye.vertices @ gaze.rotation().T).astype(np.float32)
     count, n_eye = len(skin), len(eye.vertices)
-    vertices = np.concatenate([skin, *(centre + radius * turned for centre in centres)]).astype(np.float32)
-    all_faces = np.concatenate([faces, eye.faces + count, eye.faces + count + n_eye]).astype(np.int32)
+    inside = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32), np.zeros((0, 3), np.float32)
+    behind, behind_faces, behind_albedo = inside if mouth is None else mouth
+    vertices = np.concatenate([skin, *(centre + radius * turned for centre in centres), behind]).astype(np.float32)
+    pieces = [faces, eye.faces + count, eye.faces + count + n_eye, behind_faces + count + 2 * n_eye]
+    all_faces = np.concatenate(pieces).astype(np.int32)
     landmarks = {str(i): vertices[vertex] for i, vertex in enumerate(marks)}
     landmarks["iris_left"] = vertices[count + eye.iris]
     landmarks["iris_right"] = vertices[count + n_eye + eye.iris]
     shadow = lid_shadow(turned)
     open_share = np.ones(count, np.float32) if occlusion is None else occlusion
-    parts = np.array([FACE, EYE_LEFT, EYE_RIGHT], np.uint8)
+    light = [open_share, shadow, shadow, light_behind_lips(behind, skin[marks])]
+    parts = np.array([FACE, EYE_LEFT, EYE_RIGHT, MOUTH], np.uint8)
     return HeadMesh(
         vertices=vertices,
         faces=all_faces,
-        face_part=np.repeat(parts, [len(faces), len(eye.faces), len(eye.faces)]),
+        face_part=np.repeat(parts, [len(piece) for piece in pieces]),
         normals=vertex_normals(vertices, all_faces),
-        albedo=np.concatenate([albedo, eye_albedo, eye_albedo]).astype(np.float32),
+        albedo=np.concatenate([albedo, eye_albedo, eye_albedo, behind_albedo]).astype(np.float32),
         landmarks=landmarks,
         eye_centres=centres.astype(np.float64),
         eye_radius=radius,
         metres_per_unit=metres_per_unit,
-        occlusion=np.concatenate([open_share, shadow, shadow]).astype(np.float32),
+        occlusion=np.concatenate(light).astype(np.float32),
     )
 
 

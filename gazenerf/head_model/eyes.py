@@ -90,22 +90,32 @@ def build_eye_mesh(around: int = 64) -> EyeMesh:
 
 
 def with_eye_albedo(
-    mean: np.ndarray, basis: np.ndarray, limits: tuple[float, float], vertices: np.ndarray
+    mean: np.ndarray,
+    basis: np.ndarray,
+    limits: tuple[float, float],
+    vertices: np.ndarray,
+    mouth: np.ndarray | None = None,
 ) -> LinearAlbedo:
     """Albedo of vertices (K,) of a mesh that `assemble` made.
 
     Args:
         mean, basis: (V, 3) and (T, V, 3) of the skin.
         limits: To which the skin's albedo is clipped.
-        vertices: Of skin and eyeballs.
+        vertices: Of skin, eyeballs and mouth.
+        mouth: (M, 3) albedo of what lies behind the lips, whatever the texture code; None where there is nothing.
     """
-    skin, eye = vertices < len(mean), build_eye_mesh()
-    on_eye = (vertices[~skin] - len(mean)) % len(eye.vertices)
+    eye = build_eye_mesh()
+    first = len(mean) + 2 * len(eye.vertices)
+    skin, behind = vertices < len(mean), vertices >= first
+    ball = ~(skin | behind)
+    on_eye = (vertices[ball] - len(mean)) % len(eye.vertices)
     found = np.zeros((len(basis) + IRIS_CODES, len(vertices), 3), np.float32)
     found[: len(basis), skin] = basis[:, vertices[skin]]
-    found[len(basis) :, ~skin] = eye.basis[:, on_eye]
+    found[len(basis) :, ball] = eye.basis[:, on_eye]
     means = np.zeros((len(vertices), 3), np.float32)
-    means[skin], means[~skin] = mean[vertices[skin]], eye.mean[on_eye]
+    means[skin], means[ball] = mean[vertices[skin]], eye.mean[on_eye]
+    if mouth is not None:
+        means[behind] = mouth[vertices[behind] - first]
     lowest, highest = (np.where(skin, ours, theirs)[:, None] for ours, theirs in zip(limits, ALBEDO_RANGE, strict=True))
     return LinearAlbedo(means, found, lowest, highest)
 

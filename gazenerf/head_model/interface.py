@@ -11,8 +11,11 @@ from gazenerf.geometry import Gaze
 from gazenerf.head_model.points import LinearAlbedo, SkinPoints
 from gazenerf.subjects import Codes
 
-FACE, EYE_LEFT, EYE_RIGHT = 0, 1, 2
-"""Values of `HeadMesh.face_part`. Left and right are the subject's own."""
+FACE, EYE_LEFT, EYE_RIGHT, MOUTH = 0, 1, 2, 3
+"""Values of `HeadMesh.face_part`: skin, eyeballs (left and right are the subject's own), and teeth, gums and tongue."""
+
+PICTURE_LABELS = np.array([1, 2, 3, 1], np.uint8)
+"""Of each part in label images, where 0 is the background: what is seen between the lips belongs to the face."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +25,7 @@ class HeadMesh:
     Attributes:
         vertices: (V, 3) float32.
         faces: (F, 3) int32, counter-clockwise seen from outside. Parts share no vertices.
-        face_part: (F,) uint8: FACE, EYE_LEFT or EYE_RIGHT.
+        face_part: (F,) uint8: FACE, EYE_LEFT, EYE_RIGHT or MOUTH.
         normals: (V, 3) float32 unit, outward.
         albedo: (V, 3) float32 linear RGB in [0, 1].
         landmarks: Name to (3,); the 68 standard ones are "0".."67", plus "iris_left", "iris_right".

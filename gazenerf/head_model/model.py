@@ -16,6 +16,7 @@ from gazenerf.head_model.eyes import IRIS_CODES, RADIUS_MM, with_eye_albedo
 from gazenerf.head_model.generic import FORMAT, METRES_PER_UNIT, GenericHead
 from gazenerf.head_model.interface import HeadMesh
 from gazenerf.head_model.lids import fit_lids, lid_coefficients, push_out
+from gazenerf.head_model.mouth import Mouth
 from gazenerf.head_model.points import LinearAlbedo, OtherEyeballs, SkinPoints, double
 from gazenerf.head_model.subdivision import subdivide, triangles
 from gazenerf.subjects import Codes
@@ -54,6 +55,7 @@ class ParametricHead:
         self._matrix, fine = subdivide(data["quads"].astype(np.int64), len(self.template), int(data["levels"]))
         self._matrix = self._matrix.astype(np.float32)
         self._faces = triangles(fine).astype(np.int32)
+        self.mouth = Mouth.of(data)
         self.code_sizes = (
             len(self.identity),
             len(self.expression),
@@ -92,7 +94,8 @@ class ParametricHead:
 
     def albedo_at(self, vertices: np.ndarray) -> LinearAlbedo:
         """Albedo of vertices (K,) of `mesh` as a function of the texture code."""
-        return with_eye_albedo(self.albedo_mean, self.albedo_basis, (LOWEST, HIGHEST), vertices)
+        inside = None if self.mouth is None else self.mouth.albedo
+        return with_eye_albedo(self.albedo_mean, self.albedo_basis, (LOWEST, HIGHEST), vertices, inside)
 
     def mesh(self, codes: Codes, gaze: Gaze) -> HeadMesh:
         """The posed head with both eyes at `gaze`.
@@ -116,10 +119,12 @@ class ParametricHead:
         for centre in centres:
             skin = push_out(skin, centre, EYE_RADIUS + LID_CLEARANCE)
         looks = len(self.albedo_basis)
+        inside = self.mouth
+        mouth = inside and (inside.vertices(codes.identity, expression), inside.faces, inside.albedo)
         albedo = np.clip(self.albedo_mean + np.tensordot(codes.texture[:looks], self.albedo_basis, 1), LOWEST, HIGHEST)
         return assemble(
             skin, self._faces, albedo, self.landmarks, centres, EYE_RADIUS, codes.texture[looks:], gaze,
-            METRES_PER_UNIT, self.occlusion,
+            METRES_PER_UNIT, self.occlusion, mouth,
         )  # fmt: skip
 
 

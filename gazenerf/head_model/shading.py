@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gazenerf.head_model.interface import FACE, HeadMesh
+from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, HeadMesh
 
 ILLUMINATION_SIZE = 27
 
@@ -82,7 +82,7 @@ def shade(mesh: HeadMesh, illumination: np.ndarray, camera_position: np.ndarray 
         light = light * mesh.occlusion[:, None]
     colour = mesh.albedo * light
     if camera_position is not None:
-        eyes = np.unique(mesh.faces[mesh.face_part != FACE])
+        eyes = np.unique(mesh.part_faces(EYE_LEFT, EYE_RIGHT))
         view = np.asarray(camera_position) - mesh.vertices[eyes]
         half = view / np.linalg.norm(view, axis=1, keepdims=True) + dominant_direction(illumination)
         half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)

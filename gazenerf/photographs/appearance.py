@@ -75,13 +75,18 @@ def skin_mask(seen: Seen) -> np.ndarray:
     grow = max(1, round(0.04 * seen.landmarks.interocular))
     kernel = np.ones((2 * grow + 1, 2 * grow + 1), np.uint8)
     skin = cv2.erode(face_oval(seen.landmarks, shape).astype(np.uint8), kernel, borderValue=0) > 0
-    lips = _filled(seen.landmarks, INNER_LIPS if seen.landmarks.dense else STANDARD_LIPS, shape)
+    lips = between_lips(seen.landmarks, shape)
     openings = eye_openings(seen.landmarks, shape)
     skin &= cv2.dilate((lips | openings).astype(np.uint8), kernel) == 0
     skin &= seen.raster.parts == 1
     if seen.person is not None:
         skin &= seen.person
     return skin if seen.labels is None else skin & np.isin(seen.labels, IN_THE_FACE_OVAL)
+
+
+def between_lips(landmarks: FaceLandmarks, shape: tuple[int, int]) -> np.ndarray:
+    """(H, W) bool: where the mouth is open."""
+    return _filled(landmarks, INNER_LIPS if landmarks.dense else STANDARD_LIPS, shape)
 
 
 def eye_openings(landmarks: FaceLandmarks, shape: tuple[int, int]) -> np.ndarray:

@@ -21,6 +21,7 @@ from gazenerf.photographs.irises import CLOSED, find_irises, openness
 from gazenerf.photographs.landmarks import FaceLandmarks
 from gazenerf.photographs.picture_terms import Observed
 from gazenerf.photographs.shape_fit import PictureFit, ShapeFit, fit_shape
+from gazenerf.photographs.teeth import teeth_are_shut
 from gazenerf.subjects import FITTED, Codes, Subject
 
 PROFILE_DEGREES = 60.0
@@ -118,7 +119,10 @@ def fit_photographs(
                 f"picture of the face (at least {SMALLEST_INTEROCULAR:.0f}, better 100)"
             )
     table = table_for(model, photographs[0].landmarks.dense, table_path)
-    observed = [Observed(p.landmarks, (p.pixels.shape[1], p.pixels.shape[0]), focal=p.focal) for p in photographs]
+    observed = [
+        Observed(p.landmarks, p.pixels.shape[1::-1], focal=p.focal, teeth_shut=teeth_are_shut(p.pixels, p.landmarks))
+        for p in photographs
+    ]
     identity = None if known is None else known.identity
     coarse = fit_shape(model, observed, table, identity=identity, one_camera=one_camera)
     for photograph, picture in zip(photographs, coarse.pictures, strict=True):

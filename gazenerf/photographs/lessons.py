@@ -11,6 +11,7 @@ import torch
 
 from gazenerf.data.rasterizer import Rasterizer
 from gazenerf.geometry import Camera, Gaze
+from gazenerf.head_model.interface import MOUTH, HeadMesh
 from gazenerf.photographs.appearance import STANDARD_LIPS, Seen, face_oval
 from gazenerf.photographs.teacher import Teacher
 from gazenerf.photographs.told_colours import person_mask
@@ -117,17 +118,18 @@ def teacher_cameras(camera: Camera, size: int, around: tuple[tuple[int, int], ..
 def teacher_lesson(
     teacher: Teacher, renderer: Rasterizer, camera: Camera, gaze: Gaze, kind: str = AROUND_HEAD
 ) -> Lesson:
-    """The teacher seen by a camera; on its outline and between its lips, where it has no teeth, it says nothing."""
+    """The teacher seen by a camera; on its outline, and between its lips where it has no teeth, it says nothing."""
     raster = teacher.view(renderer, camera, gaze)
     inside = cv2.erode((raster.parts > 0).astype(np.float32), np.ones((5, 5), np.uint8), borderValue=0)
-    inside[_open_mouth(teacher, camera, gaze)] = 0.0
+    mesh = teacher.mesh(gaze)
+    if not len(mesh.part_faces(MOUTH)):
+        inside[_open_mouth(mesh, camera)] = 0.0
     return Lesson(teacher.codes, camera, gaze, _image(raster.image), torch.from_numpy(inside), kind)
 
 
-def _open_mouth(teacher: Teacher, camera: Camera, gaze: Gaze) -> np.ndarray:
+def _open_mouth(mesh: HeadMesh, camera: Camera) -> np.ndarray:
     """(H, W) bool: between the lips."""
-    marks = teacher.mesh(gaze).landmarks
-    pixels, _ = camera.project(np.stack([marks[str(i)] for i in STANDARD_LIPS]).astype(np.float64))
+    pixels, _ = camera.project(np.stack([mesh.landmarks[str(i)] for i in STANDARD_LIPS]).astype(np.float64))
     mask = np.zeros((camera.height, camera.width), np.uint8)
     cv2.fillPoly(mask, [np.round(pixels).astype(np.int32)], 1)
     return mask > 0

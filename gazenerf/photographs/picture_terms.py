@@ -50,12 +50,14 @@ class Observed:
         size: (width, height) of the picture.
         irises: Found otherwise than by the landmark detector; None where they were not.
         focal: Pixels, where it is known.
+        teeth_shut: Teeth fill what the lips leave open, so the jaw is shut.
     """
 
     landmarks: FaceLandmarks
     size: tuple[int, int]
     irises: IrisPoints | None = None
     focal: float | None = None
+    teeth_shut: bool = False
 
     def with_irises(self, irises: IrisPoints | None) -> Observed:
         """The same picture with other irises."""

@@ -37,6 +37,9 @@ from gazenerf.photographs.picture_terms import (
 
 IDENTITY_DEVIATION = 0.85
 EXPRESSION_DEVIATION, RARE_DEVIATION = 0.25, 0.12
+JAW_OF_SHUT_TEETH = 0.03
+"""The most of jawOpen where teeth are seen to be shut; a smile then parts the lips."""
+
 RARE = ("jawLeft", "jawRight", "mouthLeft", "mouthRight", "cheekPuff", "jawForward")
 UNSEEN = ("tongueOut",)
 GAZE_DEVIATION = np.deg2rad([11.0, 16.0])
@@ -136,6 +139,7 @@ class _Problem:
         self.points: SkinPoints = model.skin_points(table.vertices)
         self.sizes = (model.code_sizes[0], model.code_sizes[1], len(table.components_mm))
         self.deviation = expression_deviations(model.expression_names)
+        self.jaw = np.array([name == "jawOpen" for name in model.expression_names])
         self.per_picture = 9 + self.sizes[1] + self.sizes[2]
         self.terms = [PictureTerms(item, table, self.points.radius) for item in self.observed]
 
@@ -200,12 +204,13 @@ class _Problem:
                 bounds[first : first + 6] = [(None, None)] * 6
             return bounds
         free: list[tuple[float | None, float | None]] = [(None, None)]
-        most = (
-            np.where(self.deviation > 0.0, 1.0, 0.0) / self.units()[-self.sizes[1] - self.sizes[2] :][: self.sizes[1]]
-        )
-        single = free * 9 + [(0.0, float(value)) for value in most]
-        shape = [(value, value) for value in values[: self.sizes[0]]] if self.known else free * self.sizes[0]
-        return shape + (single + free * self.sizes[2]) * len(self.observed)
+        bounds = [(value, value) for value in values[: self.sizes[0]]] if self.known else free * self.sizes[0]
+        for observed in self.observed:
+            most = np.where(self.deviation > 0.0, 1.0, 0.0)
+            if observed.teeth_shut:
+                most = np.where(self.jaw, JAW_OF_SHUT_TEETH, most)
+            bounds += free * 9 + [(0.0, float(value)) for value in most / EXPRESSION_UNIT] + free * self.sizes[2]
+        return bounds
 
     def posed(self) -> np.ndarray:
         """The mean head turned to each picture's landmarks."""

@@ -1,8 +1,8 @@
 """The fitted head model in the colours of its photograph: what a field learns a person from, from every side.
 
-Skin that the photograph shows has the colour of its pixels, light included. From there the difference to the fitted
-texture and light fades into what is not seen. Eyeballs, which turn, get the photograph's colours ring by ring around
-the pupil.
+Skin, teeth and tongue that the photograph shows have the colour of its pixels, light included. From there the
+difference to the fitted texture and light fades into what is not seen. Eyeballs, which turn, get the photograph's
+colours ring by ring around the pupil.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from scipy.sparse.linalg import splu
 from gazenerf.data.rasterizer import Raster, Rasterizer
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model.eyes import IRIS_ANGLE, PUPIL_ANGLE
-from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, FACE, HeadMesh, HeadModel
+from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, FACE, MOUTH, HeadMesh, HeadModel
 from gazenerf.head_model.shading import shade
 from gazenerf.photographs.appearance import Seen
 from gazenerf.photographs.told_colours import Told, told_by
@@ -77,11 +77,9 @@ def teacher_from(model: HeadModel, own: Told, others: Sequence[Told] = ()) -> Te
         model: The head model.
         own, others: What the photograph and the others tell.
     """
-    skin = np.unique(own.mesh.part_faces(FACE))
     differences = np.zeros_like(own.wanted)
-    wanted, trust = _with_others(own, others, skin)
-    if trust.any():
-        differences[skin] = _continued(own.mesh, skin, trust, wanted)
+    told = [_colour_surface(differences, own, others, part) for part in (FACE, MOUTH)]
+    if told[0]:
         _colour_eyes(differences, own.wanted, own.mesh, own.gaze, own.shown)
     return Teacher(model, own.codes, differences)
 
@@ -91,8 +89,17 @@ def make_teacher(model: HeadModel, codes: Codes, gaze: Gaze, seen: Seen) -> Teac
     return teacher_from(model, told_by(model, codes, gaze, seen))
 
 
-def _with_others(own: Told, others: Sequence[Told], skin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Wanted differences (N, 3) of the skin's vertices and the trust (N,) in them, of one photograph and of others."""
+def _colour_surface(differences: np.ndarray, own: Told, others: Sequence[Told], part: int) -> bool:
+    """Give a part the photographs' colours, in place; whether they tell any."""
+    vertices = np.unique(own.mesh.part_faces(part))
+    wanted, trust = _with_others(own, others, vertices, part)
+    if trust.any():
+        differences[vertices] = _continued(own.mesh, vertices, part, trust, wanted)
+    return bool(trust.any())
+
+
+def _with_others(own: Told, others: Sequence[Told], skin: np.ndarray, part: int) -> tuple[np.ndarray, np.ndarray]:
+    """Wanted differences (N, 3) of a part's vertices and the trust (N,) in them, of one photograph and of others."""
     trust, wanted = own.trust[skin], own.wanted[skin]
     if not any(item.trust.any() for item in others):
         return wanted, trust
@@ -100,7 +107,7 @@ def _with_others(own: Told, others: Sequence[Told], skin: np.ndarray) -> tuple[n
     mean = (theirs[..., None] * np.stack([item.wanted[skin] for item in others])).sum(axis=0)
     mean = mean / np.maximum(theirs.sum(axis=0), 1e-9)[:, None]
     best = theirs.max(axis=0)
-    mean = mean + _continued(own.mesh, skin, np.minimum(trust, best), wanted - mean)
+    mean = mean + _continued(own.mesh, skin, part, np.minimum(trust, best), wanted - mean)
     borrowed = best * (1.0 - trust)
     total = trust + borrowed
     return (trust[:, None] * wanted + borrowed[:, None] * mean) / np.maximum(total, 1e-9)[:, None], total
@@ -126,14 +133,14 @@ def _colour_eyes(differences: np.ndarray, wanted: np.ndarray, mesh: HeadMesh, ga
         differences[eyes] = np.where((angle > PUPIL_ANGLE)[:, None], found, 0.0)
 
 
-def _continued(mesh: HeadMesh, skin: np.ndarray, trust: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Differences (N, 3) of the skin's vertices: `wanted` where trust (N,) is 1, smooth and fading elsewhere.
+def _continued(mesh: HeadMesh, skin: np.ndarray, part: int, trust: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Differences (N, 3) of a part's vertices: `wanted` where trust (N,) is 1, smooth and fading elsewhere.
 
     The least of squared distances from what is wanted, of differences along edges, and of the differences themselves.
     """
     number = np.full(len(mesh.vertices), -1)
     number[skin] = np.arange(len(skin))
-    faces = number[mesh.part_faces(FACE)]
+    faces = number[mesh.part_faces(part)]
     edges = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1), axis=0)
     ones = np.ones(len(edges))
     joined = sparse.coo_matrix((ones, (edges[:, 0], edges[:, 1])), shape=(len(skin), len(skin)))

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from gazenerf.geometry import Gaze
-from gazenerf.head_model.interface import FACE, HeadMesh, HeadModel
+from gazenerf.head_model.interface import FACE, MOUTH, HeadMesh, HeadModel
 from gazenerf.head_model.shading import shade
-from gazenerf.photographs.appearance import Seen, eye_openings, nearest_pixels, seen_vertices
+from gazenerf.photographs.appearance import Seen, between_lips, eye_openings, nearest_pixels, seen_vertices
 from gazenerf.subjects import Codes
 
 GRAZING, FRONTAL = 0.15, 0.45
@@ -30,7 +30,7 @@ class Told:
         mesh: The head as the photograph shows it.
         wanted: (V, 3) sRGB, the photograph's colours at the vertices' places less the shaded ones; 0 where it tells
             nothing at all.
-        trust: (V,) 0 to 1, of the skin.
+        trust: (V,) 0 to 1, of the skin and of what lies behind the lips.
         shown: (V,) bool, vertices between the lids that are seen.
     """
 
@@ -57,6 +57,10 @@ def told_by(model: HeadModel, codes: Codes, gaze: Gaze, seen: Seen) -> Told:
     if np.count_nonzero(trust[np.unique(mesh.part_faces(FACE))]) < LEAST_SEEN:
         nothing = np.zeros(len(trust), bool)
         return Told(codes, gaze, mesh, np.zeros_like(colours), np.zeros_like(trust), nothing)
+    behind = np.unique(mesh.part_faces(MOUTH))
+    if len(behind):
+        opening = _inside(between_lips(seen.landmarks, seen.image.shape[:2]), pixels)
+        trust *= np.where(np.isin(np.arange(len(trust)), behind), opening, ~opening)
     at = pixels[:, ::-1].T - 0.5
     channels = np.moveaxis(seen.image.astype(np.float32) / 255.0, -1, 0)
     observed = np.stack([map_coordinates(one, at, order=1, mode="nearest") for one in channels], axis=-1)

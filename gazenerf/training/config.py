@@ -53,7 +53,7 @@ class TrainConfig:
         perceptual_start: Share of the run before the perceptual term starts.
         window: Height and width, feature pixels, of a window that a step renders of each picture instead of the whole:
             many small steps instead of few large ones. None renders whole pictures.
-        window_eyes: Share of the windows that lie around the eyes.
+        window_eyes, window_mouth: Shares of the windows that lie around the eyes and around the mouth.
         streams_every: The face-only picture is rendered every this many steps.
         ema: Decay of the averaged weights that are saved; 0 saves the last ones.
         gradient_clip: Largest gradient norm.
@@ -99,6 +99,7 @@ class TrainConfig:
     perceptual_start: float = 0.3
     window: tuple[int, int] | None = None
     window_eyes: float = 0.5
+    window_mouth: float = 0.0
     streams_every: int = 4
     ema: float = 0.998
     gradient_clip: float = 10.0
@@ -127,8 +128,9 @@ class TrainConfig:
             raise ValueError("perceptual_stages goes from 1 to 5")
         if values.get("window") is not None:
             values["window"] = _window(values["window"])
-        if not 0.0 <= float(values.get("window_eyes", 0.5)) <= 1.0:
-            raise ValueError("window_eyes goes from 0 to 1")
+        shares = [float(values.get(name, default)) for name, default in (("window_eyes", 0.5), ("window_mouth", 0.0))]
+        if not 0.0 <= min(shares) <= sum(shares) <= 1.0:
+            raise ValueError("window_eyes and window_mouth go from 0 to 1, and so does their sum")
         if "code_weights" in values:
             values["code_weights"] = tuple(values["code_weights"])
         return cls(**values)

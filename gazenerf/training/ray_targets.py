@@ -13,6 +13,10 @@ EYE_CROP = (12, 32)
 """Height and width, in feature pixels of a map of 64, of the crop in which the eyes stream is rendered."""
 
 
+MOUTH = (0.0, -0.56, 0.92)
+"""Where mouths are in the head frame, world units, to a centimetre or so; eyes are at height 0."""
+
+
 def eye_crop(feature_size: int) -> tuple[int, int]:
     """Height and width of that crop in a feature map of F x F: its share of 64 where F is larger, F at most."""
     scale = max(feature_size / 64.0, 1.0)
@@ -32,6 +36,7 @@ class RayTargets:
         eyes_coverage: (R,) float32 share that shows an eye.
         eye_rays: (E,) int32 positions in `rays` of the blocks near an eye.
         eye_corner: Row and column of the eye crop in the feature map.
+        mouth: Flat feature index of where the mouth is, see `MOUTH`; -1 where it is not in the picture or looks away.
     """
 
     rays: np.ndarray
@@ -41,6 +46,7 @@ class RayTargets:
     eyes_coverage: np.ndarray
     eye_rays: np.ndarray
     eye_corner: tuple[int, int]
+    mouth: int = -1
 
 
 def corner_around(places: np.ndarray, shape: tuple[int, int], feature_size: int) -> tuple[int, int]:
@@ -100,7 +106,17 @@ def ray_targets(capture: Capture, feature_size: int, all_rays: bool = False, eye
         eyes[rays],
         eye_rays.astype(np.int32),
         corner,
+        _mouth(capture, feature_size),
     )
+
+
+def _mouth(capture: Capture, feature_size: int) -> int:
+    if capture.camera.position[2] <= 0.0:
+        return -1
+    pixel, _ = capture.camera.resized(feature_size).project(np.array(MOUTH))
+    column, row = np.floor(pixel).astype(int)
+    inside = 0 <= row < feature_size and 0 <= column < feature_size
+    return int(row * feature_size + column) if inside else -1
 
 
 PER_RAY = ("rays", "distance", "has_surface", "face_coverage", "eyes_coverage")

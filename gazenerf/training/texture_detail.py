@@ -20,7 +20,7 @@ from gazenerf.errors import UserError
 from gazenerf.field.detail import EXTENT
 from gazenerf.field.model import TwoStreamField
 from gazenerf.head_model import load_head_model
-from gazenerf.head_model.interface import FACE
+from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, FACE
 from gazenerf.head_model.model import ParametricHead
 from gazenerf.head_model.ray_scenes import ray_scene, tensor
 from gazenerf.head_model.sampling import sample_person
@@ -90,7 +90,7 @@ class TemplateSkin:
         level = np.cos(elevation)
         outward = np.stack([np.sin(azimuth) * level, np.sin(elevation), np.cos(azimuth) * level], axis=-1)
         rays = np.concatenate([FAR * outward, -outward], axis=-1).reshape(-1, 6)
-        eyes = template.faces[template.face_part != FACE]
+        eyes = template.part_faces(EYE_LEFT, EYE_RIGHT)
         skin = template.part_faces(FACE)
         first = ray_scene(template.vertices, skin, eyes).cast_rays(tensor(rays))["geometry_ids"].numpy()
         found = ray_scene(template.vertices, skin).cast_rays(tensor(rays))

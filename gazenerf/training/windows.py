@@ -21,17 +21,21 @@ class Window:
 
     Attributes:
         height, width: Feature pixels.
-        eyes: Share of the windows that lie around the eyes; the others lie around any place of the head.
+        eyes, mouth: Shares of the windows that lie around the eyes and the mouth; the others lie around any place of
+            the head.
     """
 
     height: int
     width: int
     eyes: float = 0.5
+    mouth: float = 0.0
 
     def corner(self, target: RayTargets, feature_size: int, rng: np.random.Generator) -> tuple[int, int]:
         """Row and column at which a window of a capture's feature map begins."""
-        places = target.rays[target.eyes_coverage > 0]
-        if not (rng.random() < self.eyes and places.size):
+        places, drawn = target.rays[target.eyes_coverage > 0], rng.random()
+        if self.eyes <= drawn < self.eyes + self.mouth and target.mouth >= 0:
+            places = np.array([target.mouth])
+        elif not (drawn < self.eyes and places.size):
             places = target.rays[[rng.integers(target.rays.size)]]
         return corner_around(places, (self.height, self.width), feature_size)
 
@@ -53,4 +57,4 @@ def chosen_window(config: TrainConfig, field_config: FieldConfig) -> Window | No
     if max(config.window) > field_config.feature_size:
         most = field_config.feature_size
         raise UserError(f"--set window: {list(config.window)} is larger than the feature map of {most}x{most}")
-    return Window(*config.window, config.window_eyes)
+    return Window(*config.window, config.window_eyes, config.window_mouth)

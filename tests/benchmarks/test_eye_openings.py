@@ -32,7 +32,7 @@ class Hard:
     def density(self, points: torch.Tensor, part: str) -> torch.Tensor:
         assert part == "face"
         faces = self.mesh.faces[self.mesh.face_part == FACE]
-        inside = signed_distance(self.mesh.vertices, faces, points.numpy()) < self.thickness
+        inside = signed_distance(self.mesh.vertices, points.numpy(), faces) < self.thickness
         return torch.from_numpy(np.where(inside, 1000.0, 0.0))
 
 

@@ -13,6 +13,7 @@ from gazenerf.data.surface_points import (
     OPENINGS,
     SURFACE,
     SurfacePoints,
+    closed_surfaces,
     draw_person,
     lid_vertices,
     points_of,
@@ -42,10 +43,10 @@ def test_points_lie_where_their_distances_say(person: tuple[HeadMesh, dict[str, 
     surface, normals = points.surface[0].numpy(), points.normals[0].numpy()
     assert surface.shape == normals.shape == (SURFACE, 3)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-5)
-    faces = mesh.faces[(mesh.face_part == FACE) == (part == "face")]
-    assert np.abs(signed_distance(mesh.vertices, faces, surface)).max() < 1e-4
+    surfaces = closed_surfaces(mesh, part)
+    assert np.abs(signed_distance(mesh.vertices, surface, *surfaces)).max() < 1e-4
     for step in (-0.01, 0.01):  # a millimetre along the normals
-        off = signed_distance(mesh.vertices, faces, surface + step * normals)
+        off = signed_distance(mesh.vertices, surface + step * normals, *surfaces)
         assert np.median(off) == pytest.approx(step, rel=0.05) and np.mean(np.sign(off) == np.sign(step)) > 0.97
     distance = points.distance[0].numpy()
     assert 0.25 < (distance[:NEAR] < 0).mean() < 0.6

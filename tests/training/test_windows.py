@@ -67,6 +67,22 @@ def test_windows_lie_around_the_eyes_or_anywhere_on_the_head(toy_captures) -> No
     assert len(anywhere) > 5 and all(0 <= row <= 8 and 0 <= column <= 4 for row, column in anywhere)
 
 
+def test_windows_around_the_mouth_show_what_lies_below_the_eyes(toy_captures) -> None:
+    maker = BatchMaker(toy_captures, 16)
+    rng = np.random.default_rng(0)
+    for target, capture in zip(maker.targets, maker.captures, strict=True):
+        if target.mouth < 0:
+            assert capture.camera.position[2] < 1.0
+            continue
+        eyes = target.rays[target.eyes_coverage > 0] // 16
+        assert not eyes.size or target.mouth // 16 > eyes.max()
+        row, column = Window(4, 6, eyes=0.0, mouth=1.0).corner(target, 16, rng)
+        assert row <= target.mouth // 16 < row + 4 and column <= target.mouth % 16 < column + 6
+    assert sum(target.mouth >= 0 for target in maker.targets) > len(maker.targets) // 2
+    nowhere = replace(maker.targets[0], mouth=-1)
+    assert len({Window(4, 6, eyes=0.0, mouth=1.0).corner(nowhere, 16, rng) for _ in range(20)}) > 5
+
+
 def test_what_lies_along_a_windows_edges_does_not_count(toy_captures) -> None:
     maker = BatchMaker(toy_captures, 16, window=WINDOW)
     batch = maker.batch([0, 9], np.random.default_rng(0))
@@ -98,4 +114,6 @@ def test_windows_that_are_none(window) -> None:
         TrainConfig.from_dict({"window": window})
     with pytest.raises(ValueError, match="window_eyes"):
         TrainConfig.from_dict({"window": [8, 12], "window_eyes": 1.5})
+    with pytest.raises(ValueError, match="window_mouth"):
+        TrainConfig.from_dict({"window": [8, 12], "window_eyes": 0.6, "window_mouth": 0.5})
     assert TrainConfig.from_dict({"window": [8, 12]}).window == (8, 12)

@@ -16,6 +16,7 @@ import numpy as np
 from gazenerf.errors import UserError
 from gazenerf.geometry import Camera
 from gazenerf.head_model import HeadMesh
+from gazenerf.head_model.interface import PICTURE_LABELS
 
 RENDERERS = ("mitsuba", "pyrender", "open3d")
 
@@ -148,7 +149,7 @@ def _open3d(mesh: HeadMesh, cameras: list[Camera], illumination: np.ndarray | No
         normals = np.full((*t.shape, 3), np.nan, np.float32)
         normals[seen] = _interpolated(mesh, face, weights)
         parts = np.zeros(t.shape, np.uint8)
-        parts[seen] = mesh.face_part[face] + 1
+        parts[seen] = PICTURE_LABELS[mesh.face_part[face]]
         views.append(ReferenceView(camera, np.where(seen, t, np.nan).astype(np.float32), normals, parts, "open3d"))
     return views
 
