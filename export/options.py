@@ -49,7 +49,13 @@ PRESETS: dict[str, dict[str, Any]] = {
         "repair": True,
         "seen": True,
     },
-    "research": {"formats": ("ply",), "resolution": 192, "smoothing": 0, "points": 200_000, "volumes": ("nrrd", "npz")},
+    "research": {
+        "formats": ("ply",),
+        "resolution": RESOLUTION,
+        "smoothing": 0,
+        "points": 200_000,
+        "volumes": ("nrrd", "npz"),
+    },
 }
 """Use to the settings that differ from the defaults."""
 

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Rebuild the bundled field `portrait-sdf` on a CPU: distances from points of the head model's people, the colours of
-# `portrait` settle on them, move to places on the template and settle again, then in windows, most of them at the eyes, of
-# more people, of which an average with what was before is taken; detail of the skin, half precision, quality.
+# `portrait` settle on them, move to places on the template and settle again, then in windows, most of them at eyes and mouth,
+# of more people, of which an average with what was before is taken; detail of the skin, half precision, quality.
 #   scripts/train_portrait_sdf.sh FOLDER [--minutes 80] [more arguments of `gazenerf train`]
 # --minutes is the time in which the colours are learned from windows. Distances take an hour to two of one core, the
 # settlings 19 and 45 minutes, the move 15, captures five. Persons 12 and 13 of the first 40 are left out of the
@@ -49,7 +49,7 @@ placed="{$sharp, \"features_at\": \"template\"}"
 	settle learned "$folder/placed" "$folder/moved/field.safetensors" "$placed" "${few_steps[@]}" learning_rate=5e-4 \
 		eyes_weight=3 --minutes 45
 settle all "$folder/run" "$folder/placed/field.safetensors" "$placed" warmup=20 perceptual_start=0 ema=0.997 \
-	learning_rate=3e-4 eyes_weight=3 "window=[16,56]" window_eyes=0.6 --minutes 80 "$@"
+	learning_rate=3e-4 eyes_weight=3 "window=[16,56]" window_eyes=0.5 window_mouth=0.25 --minutes 80 "$@"
 fields=$("$python" -c 'from gazenerf.checkpoints import FIELDS; print(FIELDS)')
 "$python" "$scripts/average_fields.py" --checkpoints "$folder/placed/field.safetensors" "$folder/run/field.safetensors" \
 	--shares 0.45 0.55 --out "$folder/averaged.safetensors"

@@ -12,12 +12,23 @@ from scipy import ndimage
 
 from gazenerf.devices import points_at_once
 from gazenerf.errors import UserError
+from gazenerf.field.distance import laplace_distance
 from gazenerf.heads.interface import BoundField, Part
 
 MAX_RESOLUTION = 1024
 MEMORY_SHARE = 0.5
 BYTES_PER_POINT = 16
 """Peak bytes per grid point where the head fills the box: 11.6 measured coarse to fine, 15.5 with every point kept."""
+
+
+def meant_distances(density: np.ndarray, spread: float) -> np.ndarray:
+    """Signed distances that densities mean, float32, of the same shape, world units, negative inside.
+
+    Args:
+        density: What `laplace_density` gave, per world unit.
+        spread: `BoundField.surface_spread`.
+    """
+    return laplace_distance(torch.from_numpy(density), spread).numpy()
 
 
 @dataclass(frozen=True)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
 import trimesh
 
 from gazenerf.errors import UserError
 from gazenerf.export.mesh.triangles import signed_volumes, without_collapsed
-from gazenerf.export.surface.densities import DensityGrid, extent
-from gazenerf.field.distance import laplace_distance
+from gazenerf.export.surface.densities import DensityGrid, extent, meant_distances
 
 METHODS = ("flying-edges", "lewiner")
 
@@ -45,7 +43,8 @@ def isosurface(
         )
     low, values = _around(values, level)
     if spread is not None:
-        values, level = _inwards(values, spread), float(_inwards(np.array([level], np.float32), spread)[0])
+        found = meant_distances(values, spread), meant_distances(np.array([level], np.float32), spread)
+        values, level = -found[0], -float(found[1][0])
     origin = grid.origin + grid.spacing * low
     if method == "flying-edges":
         places, faces = _flying_edges(values, level)
@@ -58,11 +57,6 @@ def isosurface(
     if signed_volumes(mesh).sum() < 0:
         mesh.invert()
     return mesh
-
-
-def _inwards(density: np.ndarray, spread: float) -> np.ndarray:
-    """float32 distances below the surface, world units, of densities (...) that `laplace_density` gave."""
-    return -laplace_distance(torch.from_numpy(density), spread).numpy()
 
 
 def _around(values: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarray]:

@@ -14,8 +14,8 @@ import torch
 from scipy import ndimage
 
 from gazenerf.export.mesh.sphere_fit import Eyeball
-from gazenerf.export.surface.densities import DensityGrid, query, sample_density
-from gazenerf.field.distance import laplace_density, laplace_distance
+from gazenerf.export.surface.densities import DensityGrid, meant_distances, query, sample_density
+from gazenerf.field.distance import laplace_density
 from gazenerf.heads.interface import BoundField, Part
 
 REACH_MM = 5.0
@@ -110,7 +110,7 @@ class ClosedFace:
         corner = np.asarray(eye.centre, np.float64) - reach
         face = sample_density(self._bound, "face", np.stack([corner, corner + spacing * (side - 1)]), side)
         closed = closed_lids(self._bound, face, [eye], self._spread)
-        return closed, laplace_distance(torch.from_numpy(closed.values), self._spread).numpy()
+        return closed, meant_distances(closed.values, self._spread)
 
     def density(self, points: torch.Tensor, part: Part = "face") -> torch.Tensor:
         """Of the face at points (N, 3), per world unit (N,)."""
@@ -157,7 +157,7 @@ def _below_lids(
     for i, way in enumerate(ways):
         asked = way <= room + BEYOND_MM * unit
         density = query(bound, points[asked] + way * outwards[asked], "face")
-        found[asked, i] = laplace_distance(torch.from_numpy(density), spread).numpy()
+        found[asked, i] = meant_distances(density, spread)
         queries += int(asked.sum())
     deepest = np.where(ways <= room[:, None], found, np.inf).min(axis=1, initial=np.inf)
     found = (found - (FAINT_MM * unit * np.clip(1.0 + deepest / (SOUND_MM * unit), 0.0, 1.0))[:, None])[:, behind:]

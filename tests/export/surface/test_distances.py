@@ -53,5 +53,10 @@ def test_auto_is_the_surface_of_the_distances_and_nothing_is_smoothed(ball: Boun
     from_eyes = np.min([np.linalg.norm(found.mesh.vertices - eye[:3], axis=1) for eye in EYES], axis=0)
     skin = from_eyes > 0.25
     assert skin.mean() > 0.8 and np.abs(np.linalg.norm(found.mesh.vertices[skin], axis=1) - RADIUS).max() < 0.005
+    below = np.min([np.linalg.norm(found.mesh.vertices - eye[:3], axis=1) - eye[3] for eye in EYES], axis=0)
+    ball_or_eye = np.minimum(
+        np.abs(np.linalg.norm(found.mesh.vertices, axis=1) - RADIUS), np.abs(below - below.min())
+    )  # about the eyes: the ball, or the eyeballs themselves, by one depth smaller
+    assert -0.05 < below.min() < -0.008 and ball_or_eye[~skin].max() < 0.01
     smoothed = extract_part(ball, "face", MeshOptions(resolution=48, colours=False, smoothing=10))
     assert [step for step in smoothed.steps if "10 rounds" in step]
