@@ -27,7 +27,7 @@ class Optimizers:
         density_scale: The density layers learn this much faster: a surface needs densities near a
             hundred per unit, features and colours only values near one.
         muon_scale: Muon's learning rate over Adam's.
-        fused: Adam in one kernel and Muon in stacks of matrices, for parameters that lie on a GPU.
+        fused: Adam in one kernel, for parameters that lie on a GPU.
     """
 
     def __init__(
@@ -52,11 +52,7 @@ class Optimizers:
         self._scales = [[1.0, density_scale]]
         if hidden:
             turned = [parameters[n] for n in hidden]
-            self.members.append(
-                BatchedMuon(turned, rate)
-                if fused
-                else torch.optim.Muon(turned, lr=rate, weight_decay=0.0, adjust_lr_fn="match_rms_adamw")
-            )
+            self.members.append(BatchedMuon(turned, rate))
             self._scales.append([muon_scale])
 
     def set_rate(self, rate: float) -> None:
