@@ -7,7 +7,8 @@ noise, drawn at random); `detected` ones are MediaPipe's own (docs/photos.md). H
 truth and fit. `corresponding_mm` is the median distance between the same vertices of the true and the fitted face after
 rigid alignment, within the face crop (the NoW benchmark's ball); `surface_mm` is its part along the true normals.
 Residuals are medians over landmarks in percent of the distance between the eyes: from the fitted vertices, and what is
-left of that by the expected misses.
+left of that by the expected misses. A second table has the medians of a third of the people each, by how light their
+skin is: the mean luminance of its true albedo in the face crop.
 """
 
 from __future__ import annotations
@@ -89,6 +90,15 @@ def angle(first: Camera, second: Camera) -> float:
     return float(np.rad2deg(np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0))))
 
 
+def skin_luminance(truth: HeadMesh) -> float:
+    """Mean luminance (Rec. 709) of the skin's albedo in the face crop, linear, 0 to 1."""
+    crop = face_crop(truth)
+    assert crop is not None, "the head model has no landmarks"
+    skin = np.unique(truth.part_faces(FACE))
+    chosen = skin[crop.contains(truth.vertices[skin]) & (truth.normals[skin, 2] > 0.0)]
+    return float((truth.albedo[chosen] @ [0.2126, 0.7152, 0.0722]).mean())
+
+
 def measured(rendered: Rendered, fitted: FittedPhotograph, seconds: float) -> dict[str, float]:
     """One person's errors."""
     subject, left = fitted.subject, fitted.residuals
@@ -102,6 +112,7 @@ def measured(rendered: Rendered, fitted: FittedPhotograph, seconds: float) -> di
         "residual_percent": left["landmarks"]["median_percent"],
         "unexplained_percent": left["landmarks_less_expected_misses"]["median_percent"],
         "seconds": seconds,
+        "skin_luminance": skin_luminance(rendered.mesh),
     }
 
 
@@ -132,6 +143,16 @@ def summary(rows: list[dict[str, float]]) -> dict[str, dict[str, float]]:
         name: {"median": float(np.median(v)), "mean": float(v.mean()), "p90": float(np.quantile(v, 0.9))}
         for name, v in values.items()
     }
+
+
+def by_skin(rows: list[dict[str, float]]) -> list[tuple[str, list[dict[str, float]]]]:
+    """The rows in three parts of like size, from the darkest skin to the lightest, each with its name."""
+    order = sorted(rows, key=lambda row: row["skin_luminance"])
+    parts = [list(part) for part in np.array_split(np.array(order, dtype=object), 3)]
+    named = zip(("darkest", "middle", "lightest"), parts, strict=True)
+    return [
+        (f"{name} ({part[0]['skin_luminance']:.2f} to {part[-1]['skin_luminance']:.2f})", part) for name, part in named
+    ]
 
 
 def print_row(name: str, cells: Sequence[str]) -> None:
@@ -168,6 +189,9 @@ def main() -> None:
         totals = summary(rows)
         for which in ("median", "mean", "p90"):
             print_row(f"{kind}, {which} of {len(rows)}", [f"{totals[name][which]:.2f}" for name in COLUMNS])
+        for name, part in by_skin(rows) if len(rows) >= 6 else []:
+            medians = summary(part)
+            print_row(f"{kind}, {name}, median", [f"{medians[column]['median']:.2f}" for column in COLUMNS])
         result[kind] = {"summary": totals, "rows": rows}
     write_json(args.out, result)
 
