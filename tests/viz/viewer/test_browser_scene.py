@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from torch import nn
 
-from gazenerf.geometry import Gaze
 from gazenerf.heads import Head
 from gazenerf.viz.viewer.commands import Source
 from gazenerf.viz.viewer.glass import GlassMesh, MeshLook
@@ -98,12 +97,14 @@ def test_a_field_of_one_stream_has_a_page_of_its_own(browser):
         for layer in page.layers.layer.options[1:]:
             page.layers.layer.value = layer
             wait_until(lambda layer=layer: tab.now().layer == layer)
+        told = []
+        page.layers._notify = told.append
+        page.layers.rays.value = True
+        wait_until(lambda: bool(told))
+        assert "without head-model parameters" in told[0]
+        assert page.make._words(None, "mesh")[-6:-2] == ["--parts", "head", "--formats", "glb"]
         tab.press("Extract head")
         wait_until(lambda: "head" in page.layers._meshes, 60.0)
         radii = np.linalg.norm(page.layers._meshes["head"]._skin.vertices, axis=1)
         assert np.median(radii) == pytest.approx(1.0, abs=0.05)
-        page.layers.rays.value = True
-        wait_until(lambda: "without head-model parameters" in tab.tab.inner_text("body"))
-        assert page.make._words(None, "mesh")[-6:-2] == ["--parts", "head", "--formats", "glb"]
         tab.tab.close()
-    assert page.scene.state.gaze.gaze == Gaze()
