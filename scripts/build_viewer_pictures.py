@@ -60,7 +60,7 @@ def main() -> None:
             page.make.cameras.value = False
             look_from(page, (4.5, 1.0, 11.0))
         tab.get_by_role("tab", name="Layers").click()
-        page.layers.rays.value = True
+        page.layers.rays.value = page.layers.hides.value = True
         page.layers.show("reference", wireframe=False, opacity=0.5)
         if "viewer-layers" in wanted:
             photograph(page, tab, "viewer-layers.webp")

@@ -26,7 +26,9 @@ NORMALS_SIZE = 128
 ReferenceRenderer = Callable[[Camera, Gaze], np.ndarray]
 """A picture (H, W, 3) of the subject's head model, uint8 or sRGB in [0, 1], at the camera's size."""
 
-_STREAMS: dict[str, Part] = {"image": "head", "face": "face", "eyes": "eyes"}
+STREAMS: dict[str, Part] = {"image": "head", "face": "face", "eyes": "eyes"}
+"""Panels that are pictures of a stream, and which."""
+
 _GEOMETRY = frozenset({"depth", "opacity", "normals"})
 
 
@@ -78,34 +80,50 @@ def draw_panels(
     """
     names = check_panels(panels, reference)
     drawn: dict[str, np.ndarray] = {}
-    parts: tuple[Part, ...] = tuple(part for name, part in _STREAMS.items() if name in names)
+    parts: tuple[Part, ...] = tuple(part for name, part in STREAMS.items() if name in names)
     draw = bound.render if background is None else partial(render_cut_out, bound)
     view = draw(camera, parts) if parts else None
-    for name, part in _STREAMS.items():
+    for name, part in STREAMS.items():
         if view is not None and name in names:
             if part not in view.images:
                 raise UserError(f"this field has no {part} stream to show; leave out the panel")
             drawn[name] = to_uint8(view.images[part]) if background is None else background.picture(view.cutouts[part])
     if _GEOMETRY & set(names):
-        geometry = _head_geometry(bound, camera, view, "normals" in names, geometry_size)
-        size = camera.width, camera.height
-        distance = float(np.linalg.norm(camera.position))
-        near, far = distance + depth_range[0], distance + depth_range[1]
-        if "depth" in names:
-            drawn["depth"] = colour_depth(geometry.depth, geometry.opacity, near, far, size=size)
-        if "opacity" in names:
-            drawn["opacity"] = colour_opacity(geometry.opacity, size=size)
-        if "normals" in names and geometry.normals is not None:
-            drawn["normals"] = colour_normals(geometry.normals, geometry.opacity, camera, size=size)
+        geometry = head_geometry(bound, camera, view, "normals" in names, geometry_size)
+        for name in _GEOMETRY & set(names):
+            drawn[name] = draw_geometry(geometry, camera, name, depth_range)
     if reference is not None and "reference" in names:
         picture = to_uint8(np.asarray(reference(camera, bound.gaze)))
         drawn["reference"] = to_uint8(enlarge(picture / 255.0, camera.width, camera.height))
     return {name: drawn[name] for name in names}
 
 
-def _head_geometry(
+def draw_geometry(
+    geometry: GeometryView, camera: Camera, name: str, depth_range: tuple[float, float] = DEPTH_RANGE
+) -> np.ndarray:
+    """The panel `depth`, `opacity` or `normals`, (H, W, 3) uint8.
+
+    Args:
+        geometry: Of the whole head; smaller than the panel, it is enlarged. Normals need theirs.
+        camera: Its size is the size of the panel.
+        name: Which.
+        depth_range: See `draw_panels`.
+    """
+    size = camera.width, camera.height
+    if name == "opacity":
+        return colour_opacity(geometry.opacity, size=size)
+    if name == "normals":
+        assert geometry.normals is not None
+        return colour_normals(geometry.normals, geometry.opacity, camera, size=size)
+    distance = float(np.linalg.norm(camera.position))
+    near, far = distance + depth_range[0], distance + depth_range[1]
+    return colour_depth(geometry.depth, geometry.opacity, near, far, size=size)
+
+
+def head_geometry(
     bound: BoundField, camera: Camera, view: RenderedView | None, normals: bool, width: int | None
 ) -> GeometryView:
+    """The geometry behind panels of a head: what came with a view of it, else at `width` or `NORMALS_SIZE`."""
     known = None if view is None else view.geometry.get("head")
     if known is not None and not normals and width is None:
         return known

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gazenerf.geometry import Gaze
+from gazenerf.heads.interface import Part
 from gazenerf.subjects import Subject, bundled_subjects, load_subject
 from gazenerf.viz.viewer.gazes import GazeChoice
 
@@ -77,9 +78,11 @@ def orbit_words(
     return [*words, "--out", str(out)]
 
 
-def mesh_words(source: Source, subject: str, gaze: Gaze, out: Path) -> list[str]:
-    """`gazenerf mesh` at a gaze."""
-    return ["mesh", "--subject", subject, *source.words(), *_gaze(gaze), "--formats", "glb", "--out", str(out)]
+def mesh_words(source: Source, subject: str, parts: tuple[Part, ...], gaze: Gaze, out: Path) -> list[str]:
+    """`gazenerf mesh` at a gaze; of a field whose `parts` are not told apart, the head."""
+    words = ["mesh", "--subject", subject, *source.words(), *_gaze(gaze)]
+    words += [] if {"face", "eyes"} <= set(parts) else ["--parts", "head"]
+    return [*words, "--formats", "glb", "--out", str(out)]
 
 
 def check_words(source: Source, subject: str, gaze: Gaze, out: Path) -> list[str]:

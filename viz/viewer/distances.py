@@ -1,4 +1,4 @@
-"""The face mesh coloured by its distance from the reference head, with the key of its colours."""
+"""The mesh of face or head coloured by its distance from the reference head, with the key of its colours."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import viser
 from gazenerf.viz.pictures.surface_colours import LIMIT_MM, colour_bar, coloured_by_distance
 from gazenerf.viz.viewer.meshes import OverlayMesh
 
-NO_MESH = "Extract face and eyes to see distances."
+NO_MESH = "Extract this mesh to see distances."
 NO_REFERENCE = "The subject carries no reference head."
 
 
@@ -51,7 +51,7 @@ class Distances:
         self.text.content = described(mesh.outward_mm)
 
     def follow(self, shown: bool) -> bool:
-        """Show the coloured mesh where it is switched on and the face is `shown`; whether it is in the face's place."""
+        """Show the coloured mesh where it is switched on and the plain one is `shown`; whether it is in its place."""
         if self._mesh is None:
             return False
         coloured = shown and bool(self.shown.value)

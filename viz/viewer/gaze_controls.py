@@ -28,9 +28,10 @@ class GazeControls:
         server: Where they are shown; the container in which this is called.
         scene: What they change.
         limits: The trained range, None where it is not known.
+        turns: Whether the field turns eyes at all.
     """
 
-    def __init__(self, server: viser.ViserServer, scene: Scene, limits: GazeRange | None) -> None:
+    def __init__(self, server: viser.ViserServer, scene: Scene, limits: GazeRange | None, turns: bool = True) -> None:
         self._scene, self._limits = scene, limits
         self._lock = threading.RLock()
         reach = limits or GazeRange()
@@ -38,8 +39,7 @@ class GazeControls:
         self.pitch = _slider(server, "Pitch (up)", float(np.rad2deg(reach.pitch)), limits is not None)
         self.yaw = _slider(server, "Yaw (subject's left)", float(np.rad2deg(reach.yaw)), limits is not None)
         self.middle = server.gui.add_button("Straight ahead")
-        known = "The field does not say what gazes it was trained on." if limits is None else f"Trained on {limits}."
-        self.range = server.gui.add_markdown(known)
+        self.range = server.gui.add_markdown(_about(limits, turns))
         x, y, z = scene.state.gaze.point
         self.point = server.scene.add_transform_controls(
             "/point", scale=0.8, disable_rotations=True, depth_test=False, position=(x, y, z), visible=False
@@ -72,7 +72,7 @@ class GazeControls:
                 return
             beyond = None if self._limits is None else self._limits.beyond([gaze])
             if self._limits is not None:
-                self.range.content = f"Trained on {self._limits}." if beyond is None else f"**{beyond}**"
+                self.range.content = _about(self._limits) if beyond is None else f"**{beyond}**"
             self._change(replace(self._scene.state.gaze, gaze=gaze, mode=self._held()))
 
     def _held(self) -> str:
@@ -89,6 +89,13 @@ class GazeControls:
     def _change(self, choice: GazeChoice) -> None:
         if choice != self._scene.state.gaze:
             self._scene.change(gaze=choice)
+
+
+def _about(limits: GazeRange | None, turns: bool = True) -> str:
+    """One line about the gazes of a field."""
+    if not turns:
+        return "**This field takes no gaze: its eyes stay as they are.**"
+    return "The field does not say what gazes it was trained on." if limits is None else f"Trained on {limits}."
 
 
 def _slider(server: viser.ViserServer, label: str, trained: float, marked: bool) -> viser.GuiSliderHandle[float]:

@@ -145,7 +145,8 @@ class MakeControls:
         folder.mkdir()
         subject, choice, gaze = subject_word(state.subject, folder), state.gaze, self._gaze(state, client)
         if what == "mesh":
-            return mesh_words(self._source, subject, gaze, folder / "meshes")
+            parts = self._paths.drawer(state.subject).head.at(Gaze()).parts
+            return mesh_words(self._source, subject, parts, gaze, folder / "meshes")
         if what == "check":
             return check_words(self._source, subject, gaze, folder / "check")
         path = folder / "keyframes.json"

@@ -1,4 +1,4 @@
-"""The meshes that lie over the picture: the reference head at once, face and eyes once they are extracted."""
+"""The meshes that lie over the picture: the reference head at once, parts of the field once they are extracted."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def reference_mesh(subject: Subject, gaze: Gaze) -> OverlayMesh | None:
 
 
 def part_mesh(head: HeadField, part: Part, gaze: Gaze, progress: Progress) -> OverlayMesh:
-    """The surface of one part of a head, uncoloured; the face's with its distances from the reference head.
+    """The surface of one part of a head, uncoloured; all but the eyes' with its distances from the reference head.
 
     Raises:
         UserError: the part is empty, or the field does not have it.
@@ -59,15 +59,16 @@ def part_mesh(head: HeadField, part: Part, gaze: Gaze, progress: Progress) -> Ov
     bound = head.at(gaze)
     mesh = extract_part(bound, part, options, progress=progress).mesh
     reference, outward = ReferenceHead.of(head.subject), None
-    if part == "face" and reference is not None:
+    if part != "eyes" and reference is not None:
         known = reference.at(gaze)
-        surface = trimesh.Trimesh(known.vertices, known.part_faces(FACE, MOUTH), process=False)
+        faces = known.part_faces(FACE, MOUTH) if part == "face" else known.faces
+        surface = trimesh.Trimesh(known.vertices, faces, process=False)
         outward = outward_mm(np.asarray(mesh.vertices), surface, bound.metres_per_unit)
     return OverlayMesh(np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.int32), outward)
 
 
 class Extraction:
-    """Extracts face and eyes in a thread of its own, one request at a time; the latest one counts.
+    """Extracts parts of a head in a thread of its own, one request at a time; the latest one counts.
 
     Args:
         done: Given part and mesh, in the thread.

@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 from gazenerf.geometry import Gaze
 from gazenerf.head_model import ReferenceHead
 from gazenerf.subjects import Subject
-from gazenerf.viz.viewer.layer_controls import COLOURS, LayerControls, MeshLook, add_mesh
+from gazenerf.viz.viewer.glass import GlassMesh, MeshLook
+from gazenerf.viz.viewer.layer_controls import COLOURS, LayerControls
 from gazenerf.viz.viewer.meshes import reference_mesh
 
 RAY_LENGTH = 3.0
@@ -32,8 +33,9 @@ class Overlays:
     def __init__(self, scene: viser.SceneApi, controls: LayerControls) -> None:
         self._scene, self._controls = scene, controls
         self._rays: viser.LineSegmentsHandle | None = None
-        self._mesh: viser.MeshHandle | None = None
-        self._mesh_of: tuple[int, Gaze, MeshLook] | None = None
+        self._mesh: GlassMesh | None = None
+        self._mesh_of: tuple[int, Gaze] | None = None
+        self._look: MeshLook | None = None
         self._rays_of: tuple[int, Gaze] | None = None
         self._axes: list[viser.FrameHandle] = []
         self._axes_of: tuple[int, Gaze] | None = None
@@ -47,11 +49,14 @@ class Overlays:
             if self._mesh is not None:
                 self._mesh.remove()
             self._mesh = self._mesh_of = None
-        elif full and (wanted := (id(subject), gaze, look)) != self._mesh_of:
+        elif full and (wanted := (id(subject), gaze)) != self._mesh_of:
             mesh = reference_mesh(subject, gaze)
             if mesh is not None:
-                self._mesh = add_mesh(self._scene, "/reference", mesh, COLOURS["reference"], look)
-            self._mesh_of = wanted
+                self._mesh = GlassMesh(self._scene, "/reference", mesh, COLOURS["reference"], look)
+            self._mesh_of, self._look = wanted, look
+        elif self._mesh is not None and look != self._look:
+            self._mesh.show(look)
+            self._look = look
 
     def _follow_axes(self, subject: Subject, gaze: Gaze) -> None:
         if not self._controls.axes.value:

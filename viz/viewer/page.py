@@ -9,11 +9,12 @@ import viser
 from gazenerf.geometry.cameras import NEUTRAL_DISTANCE, NEUTRAL_FOV
 from gazenerf.heads.interface import HeadField
 from gazenerf.viz.viewer.commands import Source
+from gazenerf.viz.viewer.field_facts import turns_eyes
 from gazenerf.viz.viewer.gaze_controls import GazeControls
 from gazenerf.viz.viewer.layer_controls import LayerControls
 from gazenerf.viz.viewer.make_controls import MakeControls
 from gazenerf.viz.viewer.overlays import Overlays
-from gazenerf.viz.viewer.page_camera import viewpoint_of
+from gazenerf.viz.viewer.page_camera import stand_back, viewpoint_of
 from gazenerf.viz.viewer.paths import Paths
 from gazenerf.viz.viewer.person_controls import PersonControls
 from gazenerf.viz.viewer.scene import Scene, SceneState
@@ -43,7 +44,7 @@ class Page:
         self._set_up()
         tabs = server.gui.add_tab_group()
         with tabs.add_tab("Gaze"):
-            self.gaze = GazeControls(server, self.scene, head.trained_range)
+            self.gaze = GazeControls(server, self.scene, head.trained_range, turns_eyes(head))
         with tabs.add_tab("Person"):
             self.person = PersonControls(server, self.scene, self.notify)
         with tabs.add_tab("Layers"):
@@ -91,7 +92,7 @@ class Page:
             if client.client_id not in self._server.get_clients():  # left while it was drawn
                 return
             quality = STILL_QUALITY if picture.full else MOVING_QUALITY
-            client.scene.set_background_image(picture.pixels, format="jpeg", jpeg_quality=quality)
+            client.scene.set_background_image(picture.pixels, format="jpeg", jpeg_quality=quality, depth=picture.depth)
             status.content = describe(picture)
             overlays.follow(self.scene.state.subject, picture.gaze, picture.full)
 
@@ -102,13 +103,16 @@ class Page:
             self._leave(client)
             return
 
-        @client.camera.on_update
-        def _(camera: viser.CameraHandle) -> None:
+        begun = threading.Event()
+
+        def look(camera: viser.CameraHandle) -> None:
+            if not begun.is_set() and stand_back(camera):
+                begun.set()
             if (viewpoint := viewpoint_of(camera)) is not None:
                 visit.look(viewpoint)
 
-        if (viewpoint := viewpoint_of(client.camera)) is not None:
-            visit.look(viewpoint)
+        client.camera.on_update(look)
+        look(client.camera)
 
     def _leave(self, client: viser.ClientHandle) -> None:
         with self._lock:

@@ -24,11 +24,13 @@ class SceneState:
         subject: Whose head.
         gaze: What the eyes do.
         layer: One of `LAYERS`.
+        hides: The picture hides meshes and other things that lie behind it.
     """
 
     subject: Subject
     gaze: GazeChoice = GazeChoice()  # noqa: RUF009
     layer: str = "image"
+    hides: bool = False
 
     def __post_init__(self) -> None:
         """Raise ValueError for an unknown layer."""

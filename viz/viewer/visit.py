@@ -14,11 +14,10 @@ from gazenerf.errors import UserError
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.geometry.paths import EYE_MIDPOINT, GazeRange
 from gazenerf.head_model import ReferenceHead
-from gazenerf.heads import Head
-from gazenerf.heads.baked import BakedHead
 from gazenerf.heads.interface import HeadField
 from gazenerf.subjects import Subject
-from gazenerf.viz.pictures.panels import draw_panels
+from gazenerf.viz.viewer.field_facts import full_size, multiple_of
+from gazenerf.viz.viewer.layer_pictures import draw_layer, hiding_depth
 from gazenerf.viz.viewer.pace import Pace
 from gazenerf.viz.viewer.paths import Drawer, Paths
 from gazenerf.viz.viewer.scene import Scene, SceneState
@@ -33,9 +32,6 @@ WHILE_BAKING = 0.5
 PLAYED_PERIOD = 1.0 / 25.0
 """Seconds between pictures of eyes that move on their own, at least."""
 
-USUAL_SIZE = 512
-"""Shorter side of the full picture where the field does not say what it was made for."""
-
 
 @dataclass(frozen=True)
 class Picture:
@@ -47,6 +43,8 @@ class Picture:
         full: It is the full picture; otherwise something moved, or a faster path was being looked for.
         seconds: It took.
         note: How it was drawn.
+        depth: (h, w) float32 camera z beyond which things in the scene are hidden by it, world units; None where it
+            hides nothing.
     """
 
     pixels: np.ndarray
@@ -56,6 +54,7 @@ class Picture:
     full: bool
     seconds: float
     note: str
+    depth: np.ndarray | None = None
 
 
 class Visit:
@@ -179,11 +178,12 @@ class Visit:
         camera = viewpoint.camera(size, multiple_of(head))
         gaze = gaze_of(state, drawer.head, camera, time.monotonic())
         started = time.perf_counter()
-        pixels = draw_panels(head.at(gaze), camera, (state.layer,))[state.layer]
+        pixels, geometry = draw_layer(head.at(gaze), camera, state.layer)
+        depth = hiding_depth(geometry) if state.hides and geometry is not None else None
         seconds = time.perf_counter() - started
         if not full:
             self._pace.took(seconds)
-        return Picture(pixels, camera, gaze, state.layer, full, seconds, drawer.note)
+        return Picture(pixels, camera, gaze, state.layer, full, seconds, drawer.note, depth)
 
     def _pace_of(self, drawer: Drawer) -> Pace:
         """The pace of a way to draw; it starts anew with each."""
@@ -203,21 +203,3 @@ def eye_midpoint(subject: Subject) -> np.ndarray:
     if reference is None:
         return np.asarray(EYE_MIDPOINT)
     return reference.model.eye_centres(reference.codes.identity).mean(axis=0).astype(np.float64)
-
-
-def full_size(head: HeadField) -> int:
-    """Shorter side of the full picture, pixels: what the field was made for."""
-    own = _own(head)
-    return USUAL_SIZE if own is None else own.field.config.image_size
-
-
-def multiple_of(head: HeadField) -> int:
-    """Sides that are multiples of so many pixels are drawn without resampling."""
-    own = _own(head)
-    return 1 if own is None else own.field.config.upsampling
-
-
-def _own(head: HeadField) -> Head | None:
-    """The head of a trained field: itself, or the one that a baked head was made of."""
-    own = head.head if isinstance(head, BakedHead) else head
-    return own if isinstance(own, Head) else None

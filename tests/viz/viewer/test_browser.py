@@ -1,119 +1,24 @@
 """The real server in a real browser without a window: what is seen, dragged, typed and uploaded."""
 
-import io
-import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from PIL import Image
 
-import gazenerf
 from gazenerf.evaluation.iris import fit_iris, opening_mask
 from gazenerf.geometry import Gaze
 from gazenerf.head_model import ReferenceHead
 from gazenerf.image_metrics import psnr
 from gazenerf.subjects import load_subject
 from gazenerf.viz.viewer import make_controls, path_view
-from gazenerf.viz.viewer.commands import Source
 from gazenerf.viz.viewer.gaze_pad import pad_point
 from gazenerf.viz.viewer.meshes import OverlayMesh
 from gazenerf.viz.viewer.path_view import FRUSTUMS
 from gazenerf.viz.viewer.people import subject_file
-from gazenerf.viz.viewer.server import serving
 from tests.viz.viewer.doubles import wait_until
+from tests.viz.viewer.tabs import HEIGHT, WIDTH, Tab
 
 pytest.importorskip("viser", reason="viser is not installed")
-playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
-
-WIDTH, HEIGHT = 640, 420
-PANEL = 340
-"""Pixels at the right of the page that its controls cover."""
-
-
-@pytest.fixture(scope="module")
-def page():
-    head = gazenerf.load("noa", "small")
-    with serving(head, Source("small"), port=0) as (page, address):
-        page.address = address
-        yield page
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with playwright.sync_playwright() as driver:
-        arguments = ["--no-sandbox", "--enable-unsafe-swiftshader"]
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=arguments)
-        yield browser
-        browser.close()
-
-
-class Tab:
-    """One visitor's tab and the pictures that are sent to it."""
-
-    def __init__(self, browser, page) -> None:
-        known = set(page.visits)
-        self.page = page
-        self.tab = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
-        self.tab.goto(page.address)
-        wait_until(lambda: set(page.visits) - known)
-        (self.number,) = set(page.visits) - known
-        self.visit = page.visits[self.number]
-        self.shown, show = [], self.visit._show
-
-        def seen(picture):
-            show(picture)
-            self.shown.append(picture)
-
-        self.visit._show = seen
-        self.visit.refresh()
-
-    def now(self):
-        """The full picture of the present scene, once the browser was sent it."""
-        wait_until(lambda: self.visit.settled and bool(self.shown) and self.shown[-1].full, 90.0)
-        return self.shown[-1]
-
-    def after(self, action):
-        """The full picture after an action that changes it."""
-        version = self.visit._wanted
-        action()
-        wait_until(lambda: self.visit._wanted > version)
-        return self.now()
-
-    def looks_like(self, picture) -> bool:
-        """Is the picture what the page shows beside its controls?"""
-        screen = np.asarray(Image.open(io.BytesIO(self.tab.screenshot())).convert("RGB"))
-        wanted = np.asarray(Image.fromarray(picture.pixels).resize((WIDTH, HEIGHT), Image.Resampling.BILINEAR))
-        part = np.s_[150:, : WIDTH - PANEL]  # below the notice that the browser has no GPU
-        return psnr(screen[part] / 255.0, wanted[part] / 255.0) > 28.0
-
-    def number_of(self, label: str):
-        """The number field beside a label."""
-        row = f'//label[text()="{label}"]/ancestor::div[contains(@class, "Flex-root")][1]'
-        return self.tab.locator(f"xpath={row}//input[@type='text']")
-
-    def enter(self, label: str, value: float) -> None:
-        """Type a number into the field beside a label."""
-        field = self.number_of(label)
-        field.fill(f"{value:g}")
-        field.press("Enter")
-
-    def open(self, name: str) -> None:
-        """Show one of the page's four groups of controls."""
-        self.tab.get_by_role("tab", name=name).click()
-
-    def press(self, name: str) -> None:
-        """Press a button."""
-        self.tab.get_by_role("button", name=name, exact=True).click()
-
-
-@pytest.fixture(scope="module")
-def tab(browser, page):
-    tab = Tab(browser, page)
-    yield tab
-    tab.tab.close()
 
 
 @pytest.fixture(autouse=True)

@@ -95,7 +95,7 @@ def test_the_orbit_command_reads_its_words(mode):
 
 def test_mesh_and_check_read_their_words():
     gaze = Gaze.from_degrees(-3.0, 4.0)
-    mesh = options(mesh_words(Source(), "ada", gaze, Path("/x/meshes")))
+    mesh = options(mesh_words(Source(), "ada", ("face", "eyes", "head"), gaze, Path("/x/meshes")))
     assert mesh.gaze == (-3.0, 4.0) and mesh.formats == ("glb",) and mesh.checkpoint is None
     check = options(check_words(Source(precision="float32"), "ada", gaze, Path("/x/check")))
     assert check.gaze == (-3.0, 4.0) and check.precision == "float32"

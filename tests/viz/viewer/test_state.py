@@ -6,7 +6,7 @@ import pytest
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.geometry.paths import GazeRange
 from gazenerf.viz.viewer.gazes import FRAMES, PERIOD, GazeChoice
-from gazenerf.viz.viewer.pace import SMALLEST, Pace
+from gazenerf.viz.viewer.pace import KEEPS, SMALLEST, STEP, Pace
 from gazenerf.viz.viewer.scene import Scene, SceneState
 from tests.viz.viewer.doubles import FlatHead
 
@@ -14,12 +14,25 @@ LIMITS, EYES = GazeRange(), np.array([0.0, 0.1, 0.8])
 
 
 @pytest.mark.parametrize(("each_pixel", "overhead"), [(1e-6, 0.0), (3e-6, 0.03), (1e-4, 0.0), (1e-9, 0.0)])
-def test_sizes_settle_where_pictures_take_the_wanted_time(each_pixel, overhead):
-    pace = Pace(512, wanted=0.1)
-    for _ in range(60):
-        pace.took(overhead + each_pixel * pace.size**2)
+def test_sizes_settle_where_pictures_take_at_most_the_wanted_time(each_pixel, overhead):
+    pace, sizes = Pace(512, wanted=0.1), []
+    for turn in range(60):
+        pace.took((overhead + each_pixel * pace.size**2) * (1.0 + 0.04 * (-1) ** turn))
+        sizes.append(pace.size)
     wanted = np.clip(((0.1 - overhead) / each_pixel) ** 0.5, SMALLEST, 512)
-    assert pace.size == pytest.approx(wanted, rel=0.02)
+    assert wanted / (STEP * KEEPS) <= pace.size <= wanted * KEEPS
+    assert len(set(sizes[20:])) == 1, "a size that changes all the time is drawn more slowly"
+
+
+@pytest.mark.parametrize("largest", [32, 64, 96, 256, 512])
+def test_the_largest_size_is_reached_and_the_smallest_too(largest):
+    pace = Pace(largest, wanted=0.1)
+    for _ in range(60):
+        pace.took(1e-6)
+    assert pace.size == largest == pace.size_for(0.1)
+    for _ in range(60):
+        pace.took(5.0)
+    assert pace.size == min(SMALLEST, largest)
 
 
 def test_one_slow_picture_does_not_end_a_fluent_drag():

@@ -12,10 +12,11 @@ from gazenerf.heads.baked import BakedHead
 from gazenerf.heads.choose import choose_path
 from gazenerf.subjects import load_subject
 from gazenerf.viz.pictures.colormaps import to_uint8
+from gazenerf.viz.viewer.field_facts import USUAL_SIZE
 from gazenerf.viz.viewer.gazes import GazeChoice
 from gazenerf.viz.viewer.paths import Paths, Unwanted
 from gazenerf.viz.viewer.scene import Scene, SceneState
-from gazenerf.viz.viewer.visit import USUAL_SIZE, Picture, Visit
+from gazenerf.viz.viewer.visit import Picture, Visit
 from tests.viz.viewer.doubles import FlatHead, wait_until
 from tests.viz.viewer.test_viewpoint import viewpoint
 
