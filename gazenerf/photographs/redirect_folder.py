@@ -15,6 +15,7 @@ from typing import Any
 from gazenerf.errors import UserError
 from gazenerf.execution import Failures, Tell, Where, require_shared, results
 from gazenerf.files import read_json, refuse_existing, whole_file
+from gazenerf.folders import Folder, folder_of, local_copy, names_in, reach
 from gazenerf.head_model import load_head_model
 from gazenerf.head_model.interface import HeadModel
 from gazenerf.options import to_dict
@@ -45,14 +46,14 @@ class MadeFolder:
         before: How many an earlier run had done.
     """
 
-    folder: Path
+    folder: Folder
     counts: dict[str, int]
     before: int
 
 
 def redirect_folder(
-    folder: Path,
-    out: Path,
+    folder: str | Folder,
+    out: str | Folder,
     options: RedirectOptions,
     overwrite: bool = False,
     say: Say = lambda _: None,
@@ -65,8 +66,8 @@ def redirect_folder(
     it is. A file that is no picture is left out.
 
     Args:
-        folder: Not searched below.
-        out: Another folder.
+        folder: Not searched below; a copy is made where it is a URL.
+        out: Another folder, or its URL.
         options: Where the eyes shall look.
         overwrite: Begin anew.
         say: Is told about each picture, as it is done.
@@ -78,18 +79,20 @@ def redirect_folder(
         UserError: no pictures, a run with other options at `out`, options of a single photograph, processes died, a
             cluster is not there, or something unexpected went wrong with some pictures, which are named.
     """
-    where = Where(workers, scheduler)
+    where, folder, out = Where(workers, scheduler), folder_of(folder), folder_of(out)
+    reach(out)
     for name in ("subject", "landmarks", "masks", "labels"):
         if getattr(options, name):
             raise UserError(f"--{name} belongs to one photograph; redirect a folder without it")
     if out.resolve() == folder.resolve():
         raise UserError(f"--out {out} is the folder of the photographs; choose another one")
-    files = sorted(file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file())
+    files = sorted(file for file in local_copy(folder).iterdir() if file.suffix.lower() in SUFFIXES and file.is_file())
     if not files:
         raise UserError(f"{folder} holds no pictures; give a folder of {', '.join(SUFFIXES)} files")
     record = _record(out, options, overwrite)
     photo_python(options.photo_python)
-    before = [file.name for file in files if _is_done(record["files"].get(file.name), out / file.name)]
+    there = names_in(out)
+    before = [file.name for file in files if _is_done(record["files"].get(file.name), file.name in there)]
     _save(record, out)
     job = Redirecting(where.folder(folder), where.folder(out), where.placed(options))
     failures = Failures("picture", "pictures", "tries again")
@@ -117,19 +120,20 @@ class Redirecting:
         options: Where the eyes shall look.
     """
 
-    folder: Path
-    out: Path
+    folder: Folder
+    out: Folder
     options: RedirectOptions
 
     @contextmanager
     def opened(self) -> Iterator[Callable[[str, Tell], dict[str, Any]]]:
         """Load the head model."""
         require_shared(self.out / RECORD)
+        folder = local_copy(self.folder)
         with one_thread():
-            yield partial(self._redirect, load_head_model(self.options.head_model))
+            yield partial(self._redirect, folder, load_head_model(self.options.head_model))
 
-    def _redirect(self, model: HeadModel, name: str, tell: Tell) -> dict[str, Any]:
-        file = self.folder / name
+    def _redirect(self, folder: Path, model: HeadModel, name: str, tell: Tell) -> dict[str, Any]:
+        file = folder / name
         try:
             read_photograph(file)
         except UserError as error:
@@ -137,17 +141,17 @@ class Redirecting:
         return _one(file, self.out / name, self.options, model)
 
 
-def _is_done(said: dict[str, Any] | None, target: Path) -> bool:
-    return said is not None and (target.exists() or said["became"] == UNREADABLE)
+def _is_done(said: dict[str, Any] | None, there: bool) -> bool:
+    return said is not None and (there or said["became"] == UNREADABLE)
 
 
-def _save(record: dict[str, Any], out: Path) -> None:
+def _save(record: dict[str, Any], out: Folder) -> None:
     record["files"] = dict(sorted(record["files"].items()))
     with whole_file(out / RECORD) as temporary:
         temporary.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
 
 
-def _one(file: Path, target: Path, options: RedirectOptions, model: HeadModel) -> dict[str, Any]:
+def _one(file: Path, target: Folder, options: RedirectOptions, model: HeadModel) -> dict[str, Any]:
     try:
         made = make_redirect(file, target, options, overwrite=True, model=model)
     except UserError as error:
@@ -158,7 +162,7 @@ def _one(file: Path, target: Path, options: RedirectOptions, model: HeadModel) -
     return {"became": REDIRECTED, "fitted_gaze_degrees": list(fitted), "warnings": made.warnings}
 
 
-def _record(out: Path, options: RedirectOptions, overwrite: bool) -> dict[str, Any]:
+def _record(out: Folder, options: RedirectOptions, overwrite: bool) -> dict[str, Any]:
     """The record of an earlier run with the same options, or a new one."""
     asked = {name: value for name, value in to_dict(options, RedirectOptions).items() if name != "photo_python"}
     fresh = {"asked": asked, "files": {}}
