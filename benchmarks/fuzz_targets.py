@@ -21,6 +21,9 @@ from benchmarks.fuzz_datasets import (
     write_dataset_photographs,
 )
 from benchmarks.fuzz_texts import read_reports, read_some_options, write_options, write_reports
+from gazenerf.baselines.sted.checkpoint import load_sted, save_sted
+from gazenerf.baselines.sted.config import StedConfig
+from gazenerf.baselines.sted.network import Sted
 from gazenerf.checkpoints import import_official, load_field, save_field
 from gazenerf.data import CaptureSet
 from gazenerf.data.captures import Capture
@@ -66,6 +69,13 @@ def _field(folder: Path) -> list[str]:
     config = FieldConfig.from_dict(PRESETS["tiny"].to_dict() | small | {"hidden": 8, "feature_channels": 6})
     save_field(TwoStreamField(config), folder / "field.safetensors")
     return ["field.safetensors"]
+
+
+def _sted(folder: Path) -> list[str]:
+    torch.manual_seed(0)
+    config = StedConfig(image_size=16, growth=1, layers=1, appearance=4, one_d=1, two_d=2, width=2)
+    save_sted(Sted(config), folder / "sted.safetensors")
+    return ["sted.safetensors"]
 
 
 def _subject(folder: Path) -> list[str]:
@@ -208,6 +218,7 @@ def _each(read: Callable[[Path], Any], *names: str) -> Callable[[Path], list[Any
 
 TARGETS: dict[str, Target] = {
     "field": Target(_field, _each(load_field, "field.safetensors")),
+    "sted": Target(_sted, _each(load_sted, "sted.safetensors")),
     "subject": Target(_subject, _each(load_subject, "s.safetensors")),
     "captures": Target(_captures, lambda folder: list(CaptureSet(folder))),
     "keyframes": Target(_keyframes, _each(read_keyframes, "path.json")),

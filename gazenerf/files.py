@@ -13,18 +13,19 @@ from pathlib import Path
 from typing import Any
 
 from gazenerf.errors import UserError
+from gazenerf.folders import Folder, sent_file
 
 LONGEST_NAME = 255
 """Bytes that a file's name may have on every common file system."""
 
 
-def check_name(path: str | os.PathLike[str]) -> None:
+def check_name(path: str | os.PathLike[str] | Folder) -> None:
     """Refuse a path that no file system can hold, before anything asks the system for it.
 
     Raises:
         UserError: it holds a NUL character, or a name in it is too long.
     """
-    text = os.fspath(path)
+    text = os.fspath(path) if isinstance(path, os.PathLike) else str(path)
     if "\0" in text:
         raise UserError(f"the path {text!r} holds a NUL character; choose another name")
     longest = max((len(os.fsencode(name)) for name in Path(text).parts), default=0)
@@ -44,7 +45,7 @@ def parse_json(text: str | bytes) -> Any:
         raise ValueError("it is nested too deeply") from error
 
 
-def read_json(path: Path, most_bytes: int, *, absent: str, large: str) -> Any:
+def read_json(path: Folder, most_bytes: int, *, absent: str, large: str) -> Any:
     """The value in an untrusted JSON file of at most so many bytes, with or without a byte-order mark.
 
     Args:
@@ -66,7 +67,7 @@ def read_json(path: Path, most_bytes: int, *, absent: str, large: str) -> Any:
         raise UserError(f"{path} cannot be read as JSON: {str(error)[:120]}") from error
 
 
-def refuse_existing(paths: Iterable[str | os.PathLike[str]], overwrite: bool) -> None:
+def refuse_existing(paths: Iterable[str | Folder], overwrite: bool) -> None:
     """Refuse to replace output that nobody said may be replaced.
 
     Args:
@@ -76,7 +77,7 @@ def refuse_existing(paths: Iterable[str | os.PathLike[str]], overwrite: bool) ->
     Raises:
         UserError: one of them is taken.
     """
-    paths = [Path(path) for path in paths]
+    paths = [Path(path) if isinstance(path, str) else path for path in paths]
     for path in paths:
         check_name(path)
     if overwrite:
@@ -87,14 +88,20 @@ def refuse_existing(paths: Iterable[str | os.PathLike[str]], overwrite: bool) ->
 
 
 @contextmanager
-def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A temporary path beside `path` (same suffix) that becomes `path` when the block succeeds.
+def whole_file(path: str | Folder) -> Iterator[Path]:
+    """A temporary path (same suffix) that becomes `path` when the block succeeds.
+
+    It lies beside `path`, or, of a URL (`gazenerf.folders.folder_of`), on this machine until it is sent.
 
     Raises:
         UserError: the folder cannot be created or written.
     """
-    target = Path(path)
+    target = Path(path) if isinstance(path, str) else path
     check_name(target)
+    if not isinstance(target, Path):
+        with sent_file(target) as temporary:
+            yield temporary
+        return
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(suffix=target.suffix, prefix=f".{target.stem}-", dir=target.parent)

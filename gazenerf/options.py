@@ -14,6 +14,8 @@ from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import Any
 
+from gazenerf.folders import is_remote
+
 KEY = "option"
 
 
@@ -30,6 +32,7 @@ class Option:
         choices: The values that can be given; all by default.
         only_one: Options of the same name here exclude each other.
         required: Must be given on the command line.
+        url: A folder that can also be given as a URL; see `gazenerf.folders`.
     """
 
     help: str
@@ -40,6 +43,7 @@ class Option:
     choices: Sequence[str | int] | None = None
     only_one: str | None = None
     required: bool = False
+    url: bool = False
 
 
 def option(
@@ -53,9 +57,10 @@ def option(
     group: str = "",
     choices: Sequence[str | int] | None = None,
     only_one: str | None = None,
+    url: bool = False,
 ) -> Any:
     """A dataclass field that is an option; see `Option`. Without a default it has to be given."""
-    about = Option(help, flag, off, metavar, group, choices, only_one, default is MISSING and factory is None)
+    about = Option(help, flag, off, metavar, group, choices, only_one, default is MISSING and factory is None, url)
     if factory is not None:
         return dataclasses.field(default_factory=factory, metadata={KEY: about})
     return dataclasses.field(default=default, metadata={KEY: about})
@@ -106,7 +111,7 @@ def to_dict(options: object, kind: type | None = None) -> dict[str, Any]:
 
 def plain(value: Any) -> Any:
     """A value of an option as JSON holds it: paths as text, tuples as lists, NaN and infinity as text."""
-    if isinstance(value, Path):
+    if isinstance(value, Path) or is_remote(value):
         return str(value)
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}

@@ -13,6 +13,7 @@ LONG = (
     "test_it_runs[05_train.py]",
     "test_with_the_fit_itself_down_to_a_trained_field",
     "test_a_killed_run_leaves_no_process_and_goes_on",
+    "test_fabric_run_trains_on_two_machines_that_are_one",
     "test_ctrl_c_ends_every_process_without_a_trace[2.5]",
 )
 

@@ -15,6 +15,7 @@ from rich.progress import Progress as ProgressLine
 from rich.table import Table
 
 from gazenerf.cli.report import Report, current
+from gazenerf.folders import is_remote
 from gazenerf.progress import Progress
 
 PROGRESS_VARIABLE = "GAZENERF_PROGRESS"
@@ -109,10 +110,14 @@ def summary_table(
         written: What was written beside the rows' paths.
     """
     report = current()
-    paths = [value for value in rows.values() if isinstance(value, Path)]
+
+    def is_path(value: object) -> bool:
+        return isinstance(value, Path) or is_remote(value)
+
+    paths = [value for value in rows.values() if is_path(value)]
     report.add(
         [*paths, *written],
-        measured if measured is not None else {k: v for k, v in rows.items() if not isinstance(v, Path)},
+        measured if measured is not None else {k: v for k, v in rows.items() if not is_path(v)},
     )
     if not report.for_people:
         return

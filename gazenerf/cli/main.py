@@ -29,7 +29,7 @@ COMMANDS = {
     "mesh": "extract face and eye meshes from the density volumes",
     "export": "write pictures with their cameras for nerfstudio and COLMAP",
     "check": "measure whether a field, or a folder of frames, is one consistent 3D head",
-    "fit": "fit head model and field to photographs of a person and save them as a subject",
+    "fit": "fit head model and field to photographs of a person, or of each of many, and save them as subjects",
     "redirect": "change where the person in a photograph looks, for one picture, a folder of them or a video",
     "synthesize": "render captures of synthetic people to train on",
     "prepare": "make captures of a published gaze data set to train on",

@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 
 from gazenerf.errors import UserError
 from gazenerf.files import check_name
+from gazenerf.folders import Folder, folder_of, is_url
 from gazenerf.options import Option, flag_of, options_of
 
 T = TypeVar("T")
@@ -83,7 +84,7 @@ def _shape(hint: Any, option: Option) -> dict[str, Any]:
     if typing.get_origin(inner) is typing.Literal:
         inner = type(typing.get_args(inner)[0])
     if inner is Path:
-        shape["type"] = _path
+        shape["type"] = _folder if option.url else _path
     elif inner is not str:
         shape["type"] = inner
     return shape
@@ -94,7 +95,16 @@ def _path(text: str) -> Path:
         check_name(text)
     except UserError as error:
         raise argparse.ArgumentTypeError(str(error)) from error
+    if is_url(text) and not text.startswith("hf://"):
+        raise argparse.ArgumentTypeError(f"{text} is a URL, and a path is meant (docs/captures.md#folders-elsewhere)")
     return Path(text)
+
+
+def _folder(text: str) -> Folder:
+    try:
+        return folder_of(text) if is_url(text) else _path(text)
+    except UserError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
 
 
 def _without_none(hint: Any) -> Any:

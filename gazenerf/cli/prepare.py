@@ -10,6 +10,7 @@ from gazenerf.datasets.examine import Examined
 from gazenerf.datasets.options import PrepareOptions
 from gazenerf.errors import UserError
 from gazenerf.execution import ExecutionOptions
+from gazenerf.folders import Folder
 from gazenerf.options import option
 
 HELP = "make captures of a published gaze data set to train on"
@@ -26,7 +27,9 @@ class Options(ExecutionOptions, PrepareOptions):
         write_pictures: Folder for the pictures, with `check_only`.
     """
 
-    out: Path | None = option(None, "folder of the captures; one of the same settings is resumed", metavar="DIR")
+    out: Folder | None = option(
+        None, "folder of the captures, also by URL; one of the same settings is resumed", metavar="DIR", url=True
+    )
     check_only: bool = option(False, "only say what is missing, before anything is fitted", flag="--check")
     arrows: Path | None = option(None, "with --check: a picture of labels as arrows", metavar="FILE.png")
     write_pictures: Path | None = option(

@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 from collections import Counter
 from dataclasses import dataclass
-from pathlib import Path
 
 from gazenerf.errors import UserError
 from gazenerf.execution import ExecutionOptions
+from gazenerf.folders import Folder, is_remote
 from gazenerf.options import option
 from gazenerf.photographs.clips.clip import SUFFIXES
 from gazenerf.photographs.make_redirect import RedirectOptions
@@ -28,13 +28,17 @@ class Options(ExecutionOptions, GridOptions, RedirectOptions):
         overwrite: Replace files.
     """
 
-    photograph: Path = option(
-        help="photograph (PNG, JPEG, WebP), a folder of them, or a video (.mp4, .mov, .m4v, .mkv, .webm, .avi)",
+    photograph: Folder = option(
+        help="photograph (PNG, JPEG, WebP), a folder of them, also by URL, or a video (.mp4, .mov, .m4v, .mkv, .webm, "
+        ".avi)",
         flag="photograph",
+        url=True,
     )
-    out: Path = option(
-        help=".png (keeps every pixel), .jpg or .webp; a folder for a folder; .mp4, .mov or .mkv for a video",
+    out: Folder = option(
+        help=".png (keeps every pixel), .jpg or .webp; a folder, also by URL, for a folder; .mp4, .mov or .mkv "
+        "for a video",
         metavar="FILE",
+        url=True,
     )
     grid: bool = option(False, "many gazes in one labelled picture; see below", only_one="what")
     overwrite: bool = option(False, "replace existing files, begin a folder or video anew")
@@ -46,10 +50,12 @@ def run(options: Options) -> int:
 
     if not options.grid:
         options.refuse_nowhere()
-    video = options.photograph.suffix.lower() in SUFFIXES and not options.photograph.is_dir()
+    video = options.photograph.suffix.lower() in SUFFIXES
     with naming_missing_libraries():
-        if options.photograph.is_dir():
+        if is_remote(options.photograph) or options.photograph.is_dir():
             return _folder(options)
+        if is_remote(options.out):
+            raise UserError(f"--out {options.out} is a URL; of one photograph or video the result is written here")
         if options.workers is not None or options.scheduler is not None:
             raise UserError("--workers and --scheduler share out the pictures of a folder; leave them away")
         if video:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from pathlib import Path
 
 from gazenerf.data.synthesis import SynthesizeOptions, synthesize
 from gazenerf.execution import ExecutionOptions
+from gazenerf.folders import Folder
 from gazenerf.options import option
 
 HELP = "render captures of synthetic people to train on"
@@ -21,7 +21,7 @@ class Options(ExecutionOptions, SynthesizeOptions):
         out: The folder; one of the same set is resumed.
     """
 
-    out: Path = option(help="folder; one of the same set is resumed", metavar="DIR")
+    out: Folder = option(help="folder, also by URL; one of the same set is resumed", metavar="DIR", url=True)
 
 
 def run(options: Options) -> int:

@@ -22,7 +22,9 @@ from gazenerf.data.arrays import read_stored_arrays
 from gazenerf.data.captures import Capture
 from gazenerf.errors import UserError
 from gazenerf.files import parse_json, whole_file
+from gazenerf.folders import Folder, local_copy
 from gazenerf.geometry import Camera, Gaze
+from gazenerf.progress import Progress, silent
 from gazenerf.subjects import CODES, Codes
 
 FORMAT = "gazenerf-captures-1"
@@ -50,7 +52,7 @@ def shard_name(person: int, first_view: int) -> str:
     return f"person-{person:04d}-view-{first_view:05d}.npz"
 
 
-def write_manifest(folder: Path, manifest: dict[str, Any]) -> None:
+def write_manifest(folder: Folder, manifest: dict[str, Any]) -> None:
     """Write a set's manifest, adding the format.
 
     Raises:
@@ -72,7 +74,7 @@ def write_manifest(folder: Path, manifest: dict[str, Any]) -> None:
         temporary.write_text(json.dumps(manifest, indent=2) + "\n")
 
 
-def read_manifest(folder: Path) -> dict[str, Any]:
+def read_manifest(folder: Folder) -> dict[str, Any]:
     """A set's manifest, with what holds for an older one that lacks a setting.
 
     Raises:
@@ -92,7 +94,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     return EARLIER | manifest
 
 
-def write_shard(folder: Path, captures: list[Capture]) -> None:
+def write_shard(folder: Folder, captures: list[Capture]) -> None:
     """Write captures of one person as a shard named after the first one's view."""
     arrays: dict[str, Any] = {
         "meta": np.frombuffer(
@@ -134,14 +136,18 @@ class CaptureSet(Sequence[Capture]):
     """A folder of captures, read shard by shard and kept in memory once read.
 
     Args:
-        folder: What `gazenerf synthesize` wrote.
+        folder: What `gazenerf synthesize` wrote; of a URL a copy is made, see `gazenerf.folders.local_copy`.
+        progress: Told about files that are fetched.
+
+    Attributes:
+        folder: Of this machine.
 
     Raises:
-        UserError: no manifest, another format, or a damaged shard.
+        UserError: no manifest, another format, a damaged shard, or a URL from which nothing can be fetched.
     """
 
-    def __init__(self, folder: str | Path) -> None:
-        self.folder = Path(folder)
+    def __init__(self, folder: str | Path | Folder, progress: Progress = silent) -> None:
+        self.folder = local_copy(folder, progress)
         self.manifest = read_manifest(self.folder)
         self._captures: list[Capture] = []
         for shard in sorted(self.folder.glob("person-*.npz")):

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -19,6 +18,7 @@ from gazenerf.data.rasterizer import Raster, Rasterizer
 from gazenerf.data.storage import MANIFEST, MAX_SIDE, SHARD_VIEWS, shard_name, write_manifest, write_shard
 from gazenerf.errors import UserError
 from gazenerf.execution import Failures, Tell, Where, require_shared, results
+from gazenerf.folders import Folder, folder_of, names_in
 from gazenerf.geometry import Camera
 from gazenerf.head_model import load_head_model
 from gazenerf.head_model.interface import HeadMesh
@@ -116,7 +116,7 @@ class Shard:
 
 
 def synthesize(
-    out: str | Path,
+    out: str | Folder,
     options: SynthesizeOptions,
     progress: Progress = silent,
     workers: int = 1,
@@ -125,7 +125,7 @@ def synthesize(
     """Write captures to a folder; shards already there are kept.
 
     Args:
-        out: The folder.
+        out: The folder, or its URL; see `gazenerf.folders`.
         options: What is written.
         progress: Told about captures.
         workers: Processes that render, each a shard of `SHARD_VIEWS` captures at a time; the bytes are the same. A
@@ -142,10 +142,11 @@ def synthesize(
     """
     options.check()
     where = Where(workers, scheduler)
-    model, folder = load_head_model(), Path(out)
+    model, folder = load_head_model(), folder_of(out)
     opened, how = _open(options)
     with opened:
         pass  # a renderer that cannot start says so before anything is written
+    there = names_in(folder)
     write_manifest(
         folder,
         {
@@ -167,7 +168,7 @@ def synthesize(
         for person in range(options.people)
         for first in range(0, options.views, SHARD_VIEWS)
     ]
-    missing = [shard for shard in shards if not (folder / shard.name).is_file()]
+    missing = [shard for shard in shards if shard.name not in there]
     rendered, total = sum(len(shard.views) for shard in missing), options.people * options.views
     job = Rendering(where.folder(folder), where.placed(options))
     _render(job, missing, where, advancing(progress, "rendering", total - rendered, total))
@@ -183,7 +184,7 @@ class Rendering:
         options: Of the set.
     """
 
-    folder: Path
+    folder: Folder
     options: SynthesizeOptions
 
     @contextmanager

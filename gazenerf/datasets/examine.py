@@ -10,6 +10,7 @@ from gazenerf.datasets.options import PrepareOptions
 from gazenerf.datasets.published import PublishedSet
 from gazenerf.datasets.registry import open_dataset
 from gazenerf.errors import UserError
+from gazenerf.folders import local_copy
 from gazenerf.progress import Progress, silent
 
 MOST_SAID = 4
@@ -60,6 +61,7 @@ def examine(options: PrepareOptions, progress: Progress = silent) -> tuple[Publi
         UserError: impossible settings, or a folder that is no such data set at all.
     """
     options.check()
+    local_copy(options.root, progress)
     found = open_dataset(options.dataset, options.place)
     chosen = chosen_subjects(found, options.subjects, options.people)
     examined = Examined(found.layout, found.split, wanted=len(chosen))

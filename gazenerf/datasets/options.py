@@ -10,6 +10,7 @@ from gazenerf.datasets.faces import SOURCES, FaceFiles
 from gazenerf.datasets.published import Place
 from gazenerf.datasets.registry import DATASETS
 from gazenerf.errors import UserError
+from gazenerf.folders import Folder, local_copy
 from gazenerf.options import option
 
 
@@ -30,7 +31,7 @@ class PrepareOptions:
     """
 
     dataset: str = option(help="which data set", choices=tuple(DATASETS))
-    root: Path = option(help="its folder, as published (docs/datasets.md)", metavar="DIR")
+    root: Folder = option(help="its folder, as published, also by URL (docs/datasets.md)", metavar="DIR", url=True)
     split: str | None = option(
         None,
         "the subjects that the publishers call so (default: train of eth-xgaze, test of gazecapture)",
@@ -68,8 +69,8 @@ class PrepareOptions:
 
     @property
     def place(self) -> Place:
-        """Where the data set lies."""
-        return Place(self.root, self.split)
+        """Where the data set lies; of a URL a copy is made, see `gazenerf.folders.local_copy`."""
+        return Place(local_copy(self.root), self.split)
 
     @property
     def files(self) -> FaceFiles:

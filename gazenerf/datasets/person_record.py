@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 from collections import Counter
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gazenerf.errors import UserError
 from gazenerf.files import read_json, whole_file
+from gazenerf.folders import Folder
 from gazenerf.photographs.fit import KnownPerson
 
 MAX_RECORD_BYTES = 256 * 2**20
@@ -31,14 +31,14 @@ class PersonRecord:
         pictures: Name to what became of it: `became` is `CAPTURE` with `view` and measures, or `FAILED` with `why`.
     """
 
-    path: Path
+    path: Folder
     subject: str
     person: KnownPerson | None = None
     fitted_from: int = 0
     pictures: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     @classmethod
-    def load(cls, folder: Path, number: int, subject: str) -> PersonRecord:
+    def load(cls, folder: Folder, number: int, subject: str) -> PersonRecord:
         """The record of an earlier run, or a new one.
 
         Raises:

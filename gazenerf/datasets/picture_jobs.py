@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from gazenerf.data.captures import Capture
@@ -19,6 +18,7 @@ from gazenerf.datasets.published import Listed, PublishedSet, Sample, SubjectPic
 from gazenerf.datasets.registry import open_dataset
 from gazenerf.errors import UserError
 from gazenerf.execution import Tell, require_shared
+from gazenerf.folders import Folder
 from gazenerf.head_model import load_head_model
 from gazenerf.head_model.interface import HeadModel
 from gazenerf.photographs.fit import KnownPerson, Photograph, fit_photographs
@@ -109,7 +109,7 @@ class CaptureMaking:
     """
 
     options: PrepareOptions
-    out: Path
+    out: Folder
 
     @contextmanager
     def opened(self) -> Iterator[Callable[[Group, Tell], Found]]:

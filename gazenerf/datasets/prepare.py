@@ -21,6 +21,7 @@ from gazenerf.datasets.picture_jobs import CaptureMaking, Found, Group, PersonFi
 from gazenerf.datasets.published import PublishedSet
 from gazenerf.errors import UserError
 from gazenerf.execution import Done, Failures, Where, results
+from gazenerf.folders import Folder, folder_of, reach
 from gazenerf.head_model import load_head_model
 from gazenerf.head_model.interface import HeadModel
 from gazenerf.head_model.model import METRES_PER_UNIT
@@ -48,7 +49,7 @@ class Prepared:
 
 def prepare(
     options: PrepareOptions,
-    out: Path,
+    out: str | Folder,
     progress: Progress = silent,
     say: Say = lambda _: None,
     workers: int = 1,
@@ -60,7 +61,8 @@ def prepare(
 
     Args:
         options: What is prepared.
-        out: The folder, also of an earlier run with the same settings; other `subjects` and `people` may be added.
+        out: The folder or its URL, also of an earlier run with the same settings; other `subjects` and `people` may be
+            added.
         progress: Told about people, then about pictures.
         say: Told about each picture that fails.
         workers: Processes; a script that asks for more than one keeps its own work under
@@ -71,7 +73,8 @@ def prepare(
         UserError: `examine` finds something wrong, the folder holds another set, nothing became a capture, processes
             died, a cluster is not there, or something unexpected kept some pictures from being looked at.
     """
-    where = Where(workers, scheduler)
+    where, out = Where(workers, scheduler), folder_of(out)
+    reach(out)
     found, examined = examine(options, progress)
     examined.refuse()
     model = load_head_model()
@@ -101,7 +104,7 @@ def prepare(
 
 
 def _prepare(
-    people: Sequence[PersonPreparation], options: PrepareOptions, out: Path, where: Where, progress: Progress
+    people: Sequence[PersonPreparation], options: PrepareOptions, out: Folder, where: Where, progress: Progress
 ) -> None:
     """Fit those who are not fitted, then make captures of everybody's pictures.
 

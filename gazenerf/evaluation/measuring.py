@@ -20,6 +20,7 @@ from gazenerf.evaluation.quality import Instruments, Measurement, measure
 from gazenerf.evaluation.rows import Rows
 from gazenerf.execution import Tell
 from gazenerf.field.model import TwoStreamField
+from gazenerf.folders import Folder
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model import load_head_model
 from gazenerf.options import option
@@ -56,7 +57,7 @@ class EvaluateOptions:
         precision: Of the field's matrix products.
     """
 
-    data: Path = option(help="captures from `gazenerf synthesize`", metavar="DIR")
+    data: Folder = option(help="captures from `gazenerf synthesize`, also by URL", metavar="DIR", url=True)
     out: Path = option(help="JSON report", metavar="FILE")
     checkpoint: Path | None = option(
         None, "portrait-sdf, portrait or small, which are bundled, a file, the folder of a run or of `gazenerf share`, "

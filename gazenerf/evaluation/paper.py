@@ -109,7 +109,7 @@ def evaluate_redirection(
             what `evaluate` raises.
     """
     where = Where(workers, scheduler)
-    model, captures = opened(options, where, load_model)
+    model, captures = opened(options, where, load_model, progress)
     pairs = chosen_pairs(options, captures)
     items = [_item(pair, captures) for pair in pairs.first(options.limit)]
     by = {

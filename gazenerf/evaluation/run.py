@@ -65,7 +65,7 @@ def evaluate(
     if options.pairs is not None:
         raise UserError("--pairs is for --protocol paper; leave it out")
     where = Where(workers, scheduler)
-    model, captures = opened(options, where, load_field)
+    model, captures = opened(options, where, load_field, progress)
     unseen = set(held_out_people(captures, options))
     items = measurements(held_out_captures(captures, options), IRIS_GAZES if options.iris else ())
     made = MadeRows.beside(options.out, asked(options, model, captures))

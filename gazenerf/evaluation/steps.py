@@ -17,16 +17,19 @@ from gazenerf.evaluation.rows import MadeRows, Rows
 from gazenerf.execution import Failures, Job, Where, results
 from gazenerf.field.model import TwoStreamField
 from gazenerf.options import plain
-from gazenerf.progress import Progress, advancing
+from gazenerf.progress import Progress, advancing, silent
 
 
-def opened(options: EvaluateOptions, where: Where, load: Callable[[Path | None], Model]) -> tuple[Model, CaptureSet]:
+def opened(
+    options: EvaluateOptions, where: Where, load: Callable[[Path | None], Model], progress: Progress = silent
+) -> tuple[Model, CaptureSet]:
     """What is measured, and the captures that it is measured on.
 
     Args:
         options: How.
         where: It is measured.
         load: Reads `options.checkpoint`.
+        progress: Told of files that are fetched.
 
     Raises:
         UserError: files that cannot be read, captures of other code sizes, or no such device, precision or limit.
@@ -35,7 +38,7 @@ def opened(options: EvaluateOptions, where: Where, load: Callable[[Path | None],
         raise UserError(f"--limit must be at least 1, got {options.limit}")
     if where.scheduler is None:
         product_dtype(chosen_precision(options, device := choose_device(options.device)), device)
-    model, captures = load(options.checkpoint), CaptureSet(options.data)
+    model, captures = load(options.checkpoint), CaptureSet(options.data, progress)
     if isinstance(model, TwoStreamField) and captures[0].codes.sizes != model.config.code_sizes:
         raise UserError(f"the captures' codes are {captures[0].codes.sizes}, the field takes {model.config.code_sizes}")
     return model, captures

@@ -6,10 +6,10 @@ import socket
 import threading
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack
-from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from gazenerf.errors import UserError
+from gazenerf.folders import Folder
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -32,7 +32,7 @@ class Job(Protocol[Item_contra, Result_co]):
         ...
 
 
-def require_shared(file: Path) -> None:
+def require_shared(file: Folder) -> None:
     """Refuse to write beside a file that was written before the job began, and cannot be seen from here.
 
     Raises:

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 from gazenerf.cores import usable_cores
 from gazenerf.errors import UserError
+from gazenerf.folders import Folder
 from gazenerf.options import option
 
 Options = TypeVar("Options")
@@ -37,9 +38,9 @@ class Where:
         if self.scheduler is not None and not _ADDRESS.fullmatch(self.scheduler):
             raise UserError(f"--scheduler {self.scheduler} is no address; write it like tcp://192.168.0.10:8786")
 
-    def folder(self, path: Path) -> Path:
-        """A path that means the same to a worker with another working directory."""
-        return path if self.scheduler is None else path.absolute()
+    def folder(self, path: Folder) -> Folder:
+        """A path that means the same to a worker with another working directory; a URL does."""
+        return path if self.scheduler is None or not isinstance(path, Path) else path.absolute()
 
     def placed(self, options: Options) -> Options:
         """Options (a dataclass) whose paths mean the same everywhere; a path that is not here may be a name."""

@@ -25,6 +25,7 @@ OPTIONAL = ("fid", "frechet_alexnet")
 """Left out where no row has them."""
 
 NONE = "-"
+FAILED = "failed: "
 PAPER = "paper"
 """How names of rows begin whose numbers the paper prints."""
 
@@ -111,7 +112,7 @@ def _columns(rows: Iterable[Mapping[str, Any]]) -> tuple[str, ...]:
 
 def _own(about: Mapping[str, Any], columns: Iterable[str]) -> TableRow:
     if "failed" in about:
-        return TableRow((about["title"], f"failed: {about['failed']}", *(NONE for _ in list(columns)[1:])))
+        return TableRow((about["title"], f"{FAILED}{about['failed']}", *(NONE for _ in list(columns)[1:])))
     cells = (with_interval(about["measurements"].get(column)) for column in columns)
     return TableRow((about["title"], *cells))
 
@@ -174,7 +175,7 @@ def notes_of(result: Mapping[str, Any]) -> list[str]:
     paper, data = result["paper"], result["data"]
     said = [
         f"{data['people']} people, {data['held_out']} of them held out, pictures of {data['pixels']} px; estimator "
-        f"{result['estimator']['name']}. In brackets intervals of {SHARE:.0%}: what other people might have given.",
+        f"{result['estimator']['name']}. With means intervals of {SHARE:.0%}: what other people might have given.",
         f"Rows marked paper are printed in its {paper['table']} ({paper['label']}; {paper['source']}). They are of "
         "other people, photographs, an estimator and networks of their own, and cannot be compared with ours; what can "
         "be is which row is better. The paper prints identity similarities in hundredths.",

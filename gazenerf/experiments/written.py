@@ -3,18 +3,29 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 from gazenerf.experiments.figure import draw_calibration
-from gazenerf.experiments.tables import ResultTable, costs_table, notes_of, tables_of
+from gazenerf.experiments.tables import FAILED, NONE, ResultTable, TableRow, costs_table, notes_of, tables_of
 from gazenerf.files import whole_file
 
 LATEX = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
-    "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "↑": r"$\uparrow$", "↓": r"$\downarrow$",
+    "<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}", "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}", "↑": r"$\uparrow$", "↓": r"$\downarrow$",
 }  # fmt: skip
+
+
+HEADING = 12
+"""Characters after which a heading of a LaTeX table goes on in another line."""
+
+_INTERVAL = re.compile(r"(\S+) \((\S+ to \S+)\)")
+_MINUS = re.compile(r"(?<![{\d])-(?=\d)")
+_POWER = re.compile(r"e([+-]\d+)")
 
 
 def write_result(result: Mapping[str, Any], out: Path) -> tuple[Path, ...]:
@@ -58,24 +69,52 @@ def _markdown_table(table: ResultTable) -> str:
 
 
 def latex(result: Mapping[str, Any]) -> str:
-    r"""The tables as `table` environments for `\input`; they need the package booktabs."""
+    r"""The tables as `table*` environments for `\input`, no wider than the text."""
     notes = " ".join(notes_of(result))
     made = [_latex_table(table, notes if number == 0 else "") for number, table in enumerate(tables_of(result))]
-    return "% needs \\usepackage{booktabs}\n" + "\n".join(made)
+    return "% needs \\usepackage{booktabs,graphicx}\n" + "\n".join(made)
 
 
 def _latex_table(table: ResultTable, notes: str) -> str:
-    def line(cells: tuple[str, ...], italic: bool = False) -> str:
-        shown = (escaped(cell) for cell in cells)
-        return " & ".join(f"\\textit{{{cell}}}" if italic and cell != "-" else cell for cell in shown) + r" \\"
+    columns = len(table.headings)
 
-    rows = "\n".join(line(row.cells, row.published) for row in table.rows)
+    def line(row: TableRow) -> str:
+        if len(row.cells) > 1 and row.cells[1].startswith(FAILED):
+            return f"{escaped(row.cells[0])} & \\multicolumn{{{columns - 1}}}{{l}}{{failed}} \\\\"
+        shown = (_latex_cell(cell) for cell in row.cells)
+        return " & ".join(f"\\textit{{{cell}}}" if row.published else cell for cell in shown) + r" \\"
+
+    stacked = (_stacked([escaped(part) for part in wrap(text, HEADING)]) for text in table.headings[1:])
+    heading = " & ".join([escaped(table.headings[0]), *stacked]) + r" \\"
+    rows = "\n\\addlinespace[2pt]\n".join(line(row) for row in table.rows)
     caption = escaped(" ".join(part for part in (f"{table.title[0].upper()}{table.title[1:]}.", notes) if part))
     return (
-        "\\begin{table*}[t]\n\\centering\\small\n"
-        f"\\begin{{tabular}}{{l{'c' * (len(table.headings) - 1)}}}\n\\toprule\n{line(table.headings)}\n\\midrule\n"
-        f"{rows}\n\\bottomrule\n\\end{{tabular}}\n\\caption{{{caption}}}\n\\end{{table*}}\n"
+        "\\begin{table*}[t]\n\\centering\\small\\setlength{\\tabcolsep}{4pt}\n"
+        "\\resizebox{\\ifdim\\width>\\linewidth\\linewidth\\else\\width\\fi}{!}{%\n"
+        f"\\begin{{tabular}}{{l{'c' * (columns - 1)}}}\n\\toprule\n{heading}\n\\midrule\n"
+        f"{rows}\n\\bottomrule\n\\end{{tabular}}}}\n\\caption{{{caption}}}\n\\end{{table*}}\n"
     )
+
+
+def _latex_cell(cell: str) -> str:
+    """A cell; an interval stands below its mean, and numbers have minus signs."""
+    if cell == NONE:
+        return "--"
+    if (found := _INTERVAL.fullmatch(cell)) is None:
+        return escaped(cell)
+    mean, interval = (_MINUS.sub("$-$", _POWER.sub(_power, text)) for text in found.groups())
+    return _stacked([mean, f"[-3pt]{{\\scriptsize {interval}}}"])
+
+
+def _power(found: re.Match[str]) -> str:
+    return f"$\\cdot10^{{{int(found[1])}}}$"
+
+
+def _stacked(lines: list[str]) -> str:
+    """Lines below one another, the first on the row's own line."""
+    if len(lines) == 1:
+        return lines[0]
+    return f"\\begin{{tabular}}[t]{{@{{}}c@{{}}}}{(chr(92) * 2).join(lines)}\\end{{tabular}}"
 
 
 def escaped(text: str) -> str:

@@ -81,7 +81,7 @@ def make_fit(
         wanted = [*(file for target in targets for file in target.files(options.field)), *preview]
         refuse_existing(wanted, overwrite)
     model = load_head_model(options.head_model)
-    field = _field(options, model.code_sizes) if options.field else None
+    field = field_to_tune(options, model.code_sizes) if options.field else None
     started = time.perf_counter()
     fitted = fit_photographs(_read(photographs, options, field, state), model, options.landmark_table)
     seconds = time.perf_counter() - started
@@ -143,7 +143,7 @@ class _Targets:
         return [self.subject, self.overlay, self.json, *([self.field] if field else [])]
 
 
-def _field(options: FieldFitOptions, sizes: tuple[int, ...]) -> TwoStreamField:
+def field_to_tune(options: FieldFitOptions, sizes: tuple[int, ...]) -> TwoStreamField:
     """The field to fine-tune.
 
     Raises:

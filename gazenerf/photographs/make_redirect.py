@@ -9,6 +9,7 @@ from pathlib import Path
 
 from gazenerf.errors import UserError
 from gazenerf.files import refuse_existing
+from gazenerf.folders import Folder
 from gazenerf.geometry import Gaze
 from gazenerf.head_model import load_head_model
 from gazenerf.head_model.interface import HeadModel
@@ -122,7 +123,7 @@ def prepare(photograph: Path, options: RedirectOptions, model: HeadModel | None 
 
 
 def make_redirect(
-    photograph: Path, out: Path, options: RedirectOptions, overwrite: bool = False, model: HeadModel | None = None
+    photograph: Path, out: Folder, options: RedirectOptions, overwrite: bool = False, model: HeadModel | None = None
 ) -> MadeRedirect:
     """Redirect one photograph and write it.
 
@@ -145,7 +146,7 @@ def make_redirect(
     return MadeRedirect(out, redirector, redirected, warnings, time.perf_counter() - started)
 
 
-def refuse_outputs(photograph: Path, outs: Sequence[Path], overwrite: bool) -> None:
+def refuse_outputs(photograph: Path, outs: Sequence[Folder], overwrite: bool) -> None:
     """Refuse output that cannot be written, is there already, or is the photograph.
 
     Raises:
@@ -153,6 +154,6 @@ def refuse_outputs(photograph: Path, outs: Sequence[Path], overwrite: bool) -> N
     """
     for out in outs:
         check_picture_name(out)
-        if out.exists() and photograph.exists() and out.samefile(photograph):
+        if isinstance(out, Path) and out.exists() and photograph.exists() and out.samefile(photograph):
             raise UserError(f"{out} is the photograph; choose another --out")
     refuse_existing(outs, overwrite)

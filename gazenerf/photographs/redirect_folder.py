@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import shutil
-from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -14,11 +12,12 @@ from typing import Any
 
 from gazenerf.errors import UserError
 from gazenerf.execution import Failures, Tell, Where, require_shared, results
-from gazenerf.files import read_json, refuse_existing, whole_file
+from gazenerf.files import whole_file
+from gazenerf.folders import Folder, folder_of, local_copy, names_in, reach
 from gazenerf.head_model import load_head_model
 from gazenerf.head_model.interface import HeadModel
-from gazenerf.options import to_dict
 from gazenerf.photographs.detector import photo_python
+from gazenerf.photographs.folder_record import FolderRecord
 from gazenerf.photographs.make_redirect import RedirectOptions, make_redirect
 from gazenerf.photographs.marking import SUFFIXES
 from gazenerf.photographs.picture import read_photograph
@@ -28,8 +27,6 @@ RECORD = "redirect.json"
 """What was asked for and what became of each picture, beside the pictures."""
 
 REDIRECTED, PASSED, UNREADABLE = "redirected", "passed on unchanged", "not readable"
-
-MAX_RECORD_BYTES = 16 * 2**20
 
 Say = Callable[[str], None]
 """Is told one line about each picture."""
@@ -45,14 +42,14 @@ class MadeFolder:
         before: How many an earlier run had done.
     """
 
-    folder: Path
+    folder: Folder
     counts: dict[str, int]
     before: int
 
 
 def redirect_folder(
-    folder: Path,
-    out: Path,
+    folder: str | Folder,
+    out: str | Folder,
     options: RedirectOptions,
     overwrite: bool = False,
     say: Say = lambda _: None,
@@ -65,8 +62,8 @@ def redirect_folder(
     it is. A file that is no picture is left out.
 
     Args:
-        folder: Not searched below.
-        out: Another folder.
+        folder: Not searched below; a copy is made where it is a URL.
+        out: Another folder, or its URL.
         options: Where the eyes shall look.
         overwrite: Begin anew.
         say: Is told about each picture, as it is done.
@@ -78,19 +75,23 @@ def redirect_folder(
         UserError: no pictures, a run with other options at `out`, options of a single photograph, processes died, a
             cluster is not there, or something unexpected went wrong with some pictures, which are named.
     """
-    where = Where(workers, scheduler)
+    where, folder, out = Where(workers, scheduler), folder_of(folder), folder_of(out)
+    reach(out)
     for name in ("subject", "landmarks", "masks", "labels"):
         if getattr(options, name):
             raise UserError(f"--{name} belongs to one photograph; redirect a folder without it")
     if out.resolve() == folder.resolve():
         raise UserError(f"--out {out} is the folder of the photographs; choose another one")
-    files = sorted(file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file())
+    files = sorted(file for file in local_copy(folder).iterdir() if file.suffix.lower() in SUFFIXES and file.is_file())
     if not files:
         raise UserError(f"{folder} holds no pictures; give a folder of {', '.join(SUFFIXES)} files")
-    record = _record(out, options, overwrite)
+    record = FolderRecord.of(
+        out / RECORD, "redirected pictures", options, RedirectOptions, ("photo_python",), overwrite
+    )
     photo_python(options.photo_python)
-    before = [file.name for file in files if _is_done(record["files"].get(file.name), out / file.name)]
-    _save(record, out)
+    there = names_in(out)
+    before = [file.name for file in files if _is_done(record.files.get(file.name), file.name in there)]
+    record.save()
     job = Redirecting(where.folder(folder), where.folder(out), where.placed(options))
     failures = Failures("picture", "pictures", "tries again")
     with closing(results(job, [file.name for file in files if file.name not in before], where)) as every:
@@ -99,12 +100,11 @@ def redirect_folder(
                 if failures.add(done.item, done.error):
                     break
                 continue
-            record["files"][done.item] = became = done.result
-            _save(record, out)
+            became = done.result
+            record.note(done.item, became)
             say(f"{done.item}: {became['became']}{': ' + became['why'] if 'why' in became else ''}")
     failures.refuse()
-    counts = Counter(entry["became"] for entry in record["files"].values())
-    return MadeFolder(out, {name: counts[name] for name in (REDIRECTED, PASSED, UNREADABLE)}, len(before))
+    return MadeFolder(out, {name: record.counts[name] for name in (REDIRECTED, PASSED, UNREADABLE)}, len(before))
 
 
 @dataclass(frozen=True)
@@ -117,19 +117,20 @@ class Redirecting:
         options: Where the eyes shall look.
     """
 
-    folder: Path
-    out: Path
+    folder: Folder
+    out: Folder
     options: RedirectOptions
 
     @contextmanager
     def opened(self) -> Iterator[Callable[[str, Tell], dict[str, Any]]]:
         """Load the head model."""
         require_shared(self.out / RECORD)
+        folder = local_copy(self.folder)
         with one_thread():
-            yield partial(self._redirect, load_head_model(self.options.head_model))
+            yield partial(self._redirect, folder, load_head_model(self.options.head_model))
 
-    def _redirect(self, model: HeadModel, name: str, tell: Tell) -> dict[str, Any]:
-        file = self.folder / name
+    def _redirect(self, folder: Path, model: HeadModel, name: str, tell: Tell) -> dict[str, Any]:
+        file = folder / name
         try:
             read_photograph(file)
         except UserError as error:
@@ -137,17 +138,11 @@ class Redirecting:
         return _one(file, self.out / name, self.options, model)
 
 
-def _is_done(said: dict[str, Any] | None, target: Path) -> bool:
-    return said is not None and (target.exists() or said["became"] == UNREADABLE)
+def _is_done(said: dict[str, Any] | None, there: bool) -> bool:
+    return said is not None and (there or said["became"] == UNREADABLE)
 
 
-def _save(record: dict[str, Any], out: Path) -> None:
-    record["files"] = dict(sorted(record["files"].items()))
-    with whole_file(out / RECORD) as temporary:
-        temporary.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
-
-
-def _one(file: Path, target: Path, options: RedirectOptions, model: HeadModel) -> dict[str, Any]:
+def _one(file: Path, target: Folder, options: RedirectOptions, model: HeadModel) -> dict[str, Any]:
     try:
         made = make_redirect(file, target, options, overwrite=True, model=model)
     except UserError as error:
@@ -156,20 +151,3 @@ def _one(file: Path, target: Path, options: RedirectOptions, model: HeadModel) -
         return {"became": PASSED, "why": str(error)}
     fitted = made.redirector.subject.gaze.degrees
     return {"became": REDIRECTED, "fitted_gaze_degrees": list(fitted), "warnings": made.warnings}
-
-
-def _record(out: Path, options: RedirectOptions, overwrite: bool) -> dict[str, Any]:
-    """The record of an earlier run with the same options, or a new one."""
-    asked = {name: value for name, value in to_dict(options, RedirectOptions).items() if name != "photo_python"}
-    fresh = {"asked": asked, "files": {}}
-    if overwrite or not (out / RECORD).exists():
-        refuse_existing([out], overwrite)
-        return fresh
-    found = read_json(out / RECORD, MAX_RECORD_BYTES, absent="", large="this is no record of redirected pictures")
-    if not isinstance(found, dict) or found.get("asked") != json.loads(json.dumps(asked)):
-        raise UserError(
-            f"{out} has pictures that were made with other options; add --overwrite or choose another --out"
-        )
-    if not all(isinstance(entry, dict) and "became" in entry for entry in found.get("files", {"": 0}).values()):
-        raise UserError(f"{out / RECORD} is no record of redirected pictures; add --overwrite")
-    return found

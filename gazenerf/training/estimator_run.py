@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from gazenerf.data.storage import read_manifest
 from gazenerf.devices import choose_device
 from gazenerf.errors import UserError
 from gazenerf.files import whole_file
+from gazenerf.folders import Folder, local_copy
 from gazenerf.head_model import load_head_model
 from gazenerf.options import option
 from gazenerf.progress import Progress, silent
@@ -45,12 +46,14 @@ class EstimatorOptions:
         device: Where ResNet50 learns; the small network always learns on the CPU.
     """
 
-    data: Path = option(help="captures from `gazenerf synthesize` or `prepare`", metavar="DIR")
+    data: Folder = option(help="captures from `gazenerf synthesize` or `prepare`, also by URL", metavar="DIR", url=True)
     out: Path = option(help="weights (.safetensors); the report is FILE.json", metavar="FILE")
     network: str = option("resnet50", "resnet50 (default), or small, as the bundled one", choices=NETWORKS)
     held_out: int = option(1, "people (the last ones) only measured, as given to `gazenerf train`", metavar="N")
-    test: Path | None = option(None, "captures of other people, only measured", metavar="DIR")
-    more: tuple[Path, ...] = option((), "captures of other people to learn from, too, of any size", metavar="DIR")
+    test: Folder | None = option(None, "captures of other people, only measured", metavar="DIR", url=True)
+    more: tuple[Folder, ...] = option(
+        (), "captures of other people to learn from, too, of any size", metavar="DIR", url=True
+    )
     initial: Path | None = option(
         None, "start from these weights of torchvision's or timm's ResNet50", flag="--from", metavar="FILE"
     )
@@ -108,6 +111,12 @@ def train_estimator(options: EstimatorOptions, progress: Progress = silent) -> T
             another network, a state of another run, or a loss that is not finite.
     """
     settings, device = options.settings(), choose_device(options.device)
+    options = replace(
+        options,
+        data=local_copy(options.data, progress),
+        more=tuple(local_copy(folder, progress) for folder in options.more),
+        test=None if options.test is None else local_copy(options.test, progress),
+    )
     manifest = read_manifest(options.data)
     learned, kept = split_shards(options.data, options.held_out)
     more = [shard for folder in options.more for shard in shards_of(folder)]

@@ -14,6 +14,7 @@ from gazenerf.data.captures import Capture
 from gazenerf.errors import UserError
 from gazenerf.field.config import PRESETS as FIELD_PRESETS
 from gazenerf.field.config import FieldConfig
+from gazenerf.folders import Folder
 from gazenerf.names import did_you_mean
 from gazenerf.options import option
 from gazenerf.progress import Progress, silent
@@ -50,7 +51,7 @@ class TrainOptions:
         gaze_estimator: For the functional loss; the bundled one by default.
     """
 
-    data: Path = option(help="captures from `gazenerf synthesize` or `prepare`", metavar="DIR")
+    data: Folder = option(help="captures from `gazenerf synthesize` or `prepare`, also by URL", metavar="DIR", url=True)
     out: Path = option(help="where the run is written", metavar="DIR")
     model: str = option("gazenerf", "a row of the paper's tables (default: gazenerf)", choices=(*MODELS, STED))
     losses: str | None = option(None, "a step of the paper's loss ladder", choices=tuple(LADDER))
@@ -88,7 +89,7 @@ def train_field(
         UserError: unknown settings, nothing to learn from, or what `gazenerf.training.loop.train` refuses.
     """
     config = chosen_config(options)
-    captures = CaptureSet(options.data)
+    captures = CaptureSet(options.data, progress)
     learned, watched = split_captures(captures, options.held_out, options.held_out_views)
     if not learned:
         raise UserError("nothing is left to train on; lower --held-out or --held-out-views")

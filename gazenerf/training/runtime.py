@@ -89,7 +89,8 @@ class Runtime:
             except ImportError as error:
                 raise UserError("training on several devices needs: pip install gazenerf[multi-gpu]") from error
             self.fabric = Fabric(accelerator=chosen.type, devices=devices, num_nodes=nodes)
-            self.fabric.launch()
+            if os.environ.get("LT_CLI_USED") != "1":  # `fabric run` has launched it, and refuses a second time
+                self.fabric.launch()
             self.rank, self.world = int(self.fabric.global_rank), int(self.fabric.world_size)
             self.device = torch.device(self.fabric.device)
         else:

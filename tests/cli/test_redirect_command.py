@@ -13,6 +13,7 @@ from PIL import Image
 
 from benchmarks.redirect import true_subject
 from gazenerf.cli.main import main
+from gazenerf.folders import folder_of, names_in
 from gazenerf.photographs.clips.clip import Clip
 from gazenerf.viz.pictures.redirect_video import MadeVideo
 
@@ -137,6 +138,23 @@ def test_a_folder_is_redirected_once_and_what_has_no_face_is_passed_on(
     assert "done by an earlier run" in capsys.readouterr().out
     assert main([*words[:3], "5", *words[4:]]) == 2
     assert "made with other options" in capsys.readouterr().err
+
+
+def test_a_folder_elsewhere_is_redirected_to_another_one(folder, detector, tmp_path, capsys, monkeypatch):
+    pytest.importorskip("upath", reason="needs gazenerf[urls]")
+    monkeypatch.setenv("GAZENERF_CACHE", str(tmp_path / "cache"))
+    place = folder_of(f"memory://{tmp_path.name}")
+    Image.new("RGB", (64, 48), "red").save(tmp_path / "b.jpg")
+    place.fs.put(str(tmp_path / "b.jpg"), (place / "in" / "b.jpg").path)
+    words = ["redirect", str(place / "in"), "--gaze", "0", "10", "--out", str(place / "out"), "--workers", "1"]
+    assert main(words) == 2
+    printed = capsys.readouterr()
+    assert printed.out.startswith("b.jpg: passed on unchanged: no face was found")
+    assert "no picture of memory://" in printed.err
+    assert names_in(place / "out") == {"b.jpg", "redirect.json"}
+    assert (place / "out" / "b.jpg").read_bytes() == (tmp_path / "b.jpg").read_bytes()
+    assert main(words) == 2 and "b.jpg: passed" not in capsys.readouterr().out, "nothing is left to do"
+    assert main([*words[:2], "--grid", *words[5:]]) == 2 and "--grid takes one" in capsys.readouterr().err
 
 
 def test_folders_refuse_what_belongs_to_one_photograph(folder, tmp_path, capsys):

@@ -20,6 +20,7 @@ from gazenerf.datasets.person_fit import fit_person, telling
 from gazenerf.datasets.prepare import prepare
 from gazenerf.datasets.published import Listed, Place
 from gazenerf.errors import UserError
+from gazenerf.folders import folder_of, names_in
 
 
 def options(root, **changes) -> PrepareOptions:
@@ -69,6 +70,23 @@ def test_a_run_that_was_cut_short_goes_on(xgaze, true_fit, tmp_path):
     (tmp_path / "person-0001.json").write_text('{"subject": "subject0003"}')
     with pytest.raises(UserError, match="no record of a person; delete it to prepare subject0003 again"):
         prepare(options(root), tmp_path)
+
+
+def test_a_data_set_and_captures_elsewhere_give_the_same(xgaze, true_fit, tmp_path, monkeypatch):
+    pytest.importorskip("upath", reason="needs gazenerf[urls]")
+    monkeypatch.setenv("GAZENERF_CACHE", str(tmp_path / "cache"))
+    root, truth = xgaze
+    double = true_fit(truth, patch_camera)
+    place = folder_of(f"memory://{tmp_path.name}")
+    place.fs.put(str(root), (place / "xgaze").path, recursive=True)
+    out = place / "captures"
+    assert prepare(options(place / "xgaze", people=1), out).counts == {"capture": 4}
+    made = prepare(options(place / "xgaze"), out)
+    assert made.before == 4 and made.counts == {"capture": 8} and len(double.names) == 8
+    prepare(options(root), tmp_path / "here")
+    assert names_in(out) == {file.name for file in (tmp_path / "here").iterdir()}
+    for file in (tmp_path / "here").iterdir():
+        assert (out / file.name).read_bytes() == file.read_bytes()
 
 
 def test_a_picture_that_fails_is_told_and_not_fatal(xgaze, true_fit, tmp_path):

@@ -64,7 +64,18 @@ def test_markdown_says_what_can_be_compared_and_what_is_missing(result: dict):
 def test_latex_is_escaped_and_balanced(result: dict):
     assert escaped("50 % of a_b & c ↓") == r"50 \% of a\_b \& c $\downarrow$"
     text = latex(result)
-    assert r"\toprule" in text and r"GazeNeRF & 8.12 (6 to 10.2) &" in text
+    below = r"GazeNeRF & \begin{tabular}[t]{@{}c@{}}8.12\\[-3pt]{\scriptsize 6 to 10.2}\end{tabular} &"
+    assert r"\toprule" in text and below in text
+    assert r"STED & \multicolumn{7}{l}{failed} \\" in text, "why it failed stands in the caption, not in a column"
+    assert r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%" in text, "no wider than the text"
     assert text.count(r"\begin{") == text.count(r"\end{") and "tab:comare\\_xgaze" in text
-    rows = [line for line in text.splitlines() if line.endswith(r"\\")]
+    rows = [line for line in text.splitlines() if line.endswith(r"\\") and "failed" not in line]
     assert len({line.replace(r"\&", "").count("&") for line in rows}) == 1
+    assert text.count("{") == text.count("}")
+
+
+def test_latex_has_minus_signs_and_powers(result: dict):
+    result["sets"]["held-out"]["rows"]["gazenerf"]["measurements"]["gaze_deg"] = estimate(8.75e-5, -1.5, 2.0)
+    text = latex(result)
+    assert r"8.75$\cdot10^{-5}$\\[-3pt]{\scriptsize $-$1.5 to 2}" in text
+    assert escaped("a < b | c > d") == r"a \textless{} b \textbar{} c \textgreater{} d"

@@ -45,15 +45,34 @@ def alone(captures: Path, out: Path, batch: int, **more: Any) -> None:
     train_field(options)
 
 
-def in_two(launcher: list[str], captures: Path, out: Path, *more: str) -> str:
-    """Train with one picture in each of two processes; what was printed."""
+def started(launcher: list[str], captures: Path, out: Path, *more: str) -> subprocess.Popen[str]:
+    """Training with one picture in a process, as a launcher starts it."""
     words = ["train", "--data", captures, "--out", out, "--preset", "tiny", "--held-out", "0", "--held-out-views", "0"]
     words += ["--device", "cpu", "--precision", "float32", *more, "--set", *settings(1)]
     environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-m", *launcher, *map(str, words)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=540, env=environment)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
+
+
+def printed_by(process: subprocess.Popen[str]) -> str:
+    """What a process printed that ended well."""
+    try:
+        out, errors = process.communicate(timeout=540)
+    finally:
+        process.kill()
+    assert process.returncode == 0, errors
+    return out
+
+
+def in_two(launcher: list[str], captures: Path, out: Path, *more: str) -> str:
+    """Train with one picture in each of two processes; what was printed."""
+    return printed_by(started(launcher, captures, out, *more))
+
+
+def free_port() -> str:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return str(free.getsockname()[1])
 
 
 def curve(run: Path) -> list[dict[str, float]]:
@@ -61,6 +80,15 @@ def curve(run: Path) -> list[dict[str, float]]:
     rows = [json.loads(line) for line in (run / "log.jsonl").read_text().splitlines()]
     assert [row["step"] for row in rows] == list(range(1, STEPS + 1))
     return [{name: value for name, value in row.items() if name not in ("step", "seconds", "epoch")} for row in rows]
+
+
+def compare(one: Path, two: Path) -> None:
+    """One process and two have the same curve."""
+    for step, (wanted, found) in enumerate(zip(curve(one), curve(two), strict=True), 1):
+        assert wanted.keys() == found.keys()
+        assert sum(found.values()) == pytest.approx(sum(wanted.values()), rel=0.01), f"step {step}"
+        for name, value in wanted.items():
+            assert found[name] == pytest.approx(value, rel=0.05, abs=2e-3), f"{name} at step {step}"
 
 
 @pytest.mark.skipif(importlib.util.find_spec("lightning") is None, reason="needs gazenerf[multi-gpu]")
@@ -72,16 +100,28 @@ def test_two_processes_learn_as_one_does_and_go_on_from_each_others_states(captu
     assert load_field(two / "field.safetensors").about["steps"] == 1
     alone(captures, two, batch=2, resume=True, stop_after=0.0)
     assert load_field(two / "field.safetensors").about["steps"] == 2
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = str(free.getsockname()[1])
-    launcher = ["torch.distributed.run", "--nproc-per-node", "2", "--master-addr", "127.0.0.1", "--master-port", port]
+    where = ["--master-addr", "127.0.0.1", "--master-port", free_port()]
+    launcher = ["torch.distributed.run", "--nproc-per-node", "2", *where]
     assert in_two([*launcher, "-m", "gazenerf"], captures, two, "--resume").count("wrote") == 1
-    for step, (wanted, found) in enumerate(zip(curve(one), curve(two), strict=True), 1):
-        assert wanted.keys() == found.keys()
-        assert sum(found.values()) == pytest.approx(sum(wanted.values()), rel=0.01), f"step {step}"
-        for name, value in wanted.items():
-            assert found[name] == pytest.approx(value, rel=0.05, abs=2e-3), f"{name} at step {step}"
+    compare(one, two)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("lightning") is None, reason="needs gazenerf[multi-gpu]")
+def test_fabric_run_trains_on_two_machines_that_are_one(captures, tmp_path):
+    """The lines of docs/training.md, on the loopback address."""
+    one, two, port = tmp_path / "one", tmp_path / "two", free_port()
+    alone(captures, one, batch=2)
+    script = tmp_path / "gazenerf"
+    script.write_text("import sys\nfrom gazenerf.cli.main import main\nsys.exit(main())\n")
+    nodes = ["--accelerator", "cpu", "--num-nodes", "2", "--main-address", "127.0.0.1", "--main-port", port]
+    launcher = ["lightning.fabric.cli", "--devices", "1", *nodes, "--node-rank"]  # `fabric run`
+    machines = [started([*launcher, rank, "--", str(script)], captures, two) for rank in "01"]
+    try:
+        assert sorted(printed_by(machine).count("wrote") for machine in machines) == [0, 1]
+    finally:
+        for machine in machines:
+            machine.kill()
+    compare(one, two)
 
 
 def test_launchers_say_how_many_processes_there_are(monkeypatch):

@@ -46,7 +46,7 @@ def train_sted_on(options: TrainOptions, progress: Progress = silent) -> Path:
         UserError: unknown settings, options that a STED has no use for, or nothing to learn from.
     """
     config = sted_config(options)
-    captures = CaptureSet(options.data)
+    captures = CaptureSet(options.data, progress)
     learned, watched = split_captures(captures, options.held_out, options.held_out_views)
     learned, watched = usable(learned), usable(watched)
     if not learned:
