@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-WANTED_SECONDS = 0.1
+WANTED_SECONDS = 0.125
 """Time for one picture while something moves."""
 
 SMALLEST = 64
