@@ -52,7 +52,7 @@ TONGUE_LEVELS = 1
 MM = 0.01
 """World units."""
 
-ENAMEL, ROOT, GUMS, TONGUE_RED = (0.66, 0.60, 0.50), (0.56, 0.47, 0.33), (0.42, 0.13, 0.12), (0.42, 0.15, 0.14)
+ENAMEL, ROOT, GUMS, TONGUE_RED = (0.76, 0.71, 0.62), (0.62, 0.53, 0.40), (0.42, 0.13, 0.12), (0.42, 0.15, 0.14)
 """Linear RGB."""
 
 

@@ -14,7 +14,7 @@ UPPER_LIP, LOWER_LIP = (61, 62, 63), (67, 66, 65)
 BESIDE = 0.3
 """Share of the widest opening that counts as opening where the lips meet: light also comes in from the side."""
 
-DEEP, CLOSED, LEAST = 0.5, 0.01, 0.08
+DEEP, CLOSED, LEAST = 0.25, 0.01, 0.08
 """What is seen of the surroundings is `opening / (opening + DEEP * depth + CLOSED)`, with the depth behind the lips, in
 world units, but at least so much: some light goes through lips and cheeks."""
 
