@@ -94,14 +94,16 @@ def reach(folder: Folder) -> None:
 
 
 def names_in(folder: Folder) -> set[str]:
-    """Names of what lies in a folder, nothing where there is none.
+    """Names of the files in a folder, nothing where there is none.
 
     Raises:
         UserError: it cannot be reached.
     """
     reach(folder)
     try:
-        return {found.name for found in folder.iterdir()}
+        if isinstance(folder, Path):
+            return {found.name for found in folder.iterdir() if found.is_file()}
+        return {Path(about["name"]).name for about in folder.fs.ls(folder.path, detail=True) if about["type"] == "file"}
     except (FileNotFoundError, NotADirectoryError):
         return set()
 

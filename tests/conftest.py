@@ -15,6 +15,7 @@ LONG = (
     "test_a_killed_run_leaves_no_process_and_goes_on",
     "test_fabric_run_trains_on_two_machines_that_are_one",
     "test_ctrl_c_ends_every_process_without_a_trace[2.5]",
+    "test_a_bake_in_half_precision_is_close_on_the_bundled_field",
 )
 
 
