@@ -15,6 +15,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
+import trimesh
 from scipy import sparse
 from scipy.interpolate import make_interp_spline
 
@@ -164,14 +165,9 @@ def tooth_row(band: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray, np.n
         caps += [(a, b, c, hub) if not turned else (hub, c, b, a) for a, b, c in pairs]
     vertices, quads = np.concatenate(points), np.concatenate([quads, np.array(caps)])
     enamel = np.array([*enamel, 0.0, 0.0])
-    if _volume(vertices, triangles(quads)) < 0:
+    if trimesh.Trimesh(vertices, triangles(quads), process=False).volume < 0:
         quads = quads[:, ::-1]
     return vertices, quads, enamel
-
-
-def _volume(vertices: np.ndarray, faces: np.ndarray) -> float:
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    return float((a * np.cross(b, c)).sum() / 6.0)
 
 
 def place_mouth(

@@ -6,6 +6,7 @@ A synthetic head knows its distance everywhere, so its geometry needs no renderi
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -145,9 +146,10 @@ def points_of(
     faces = np.concatenate(surfaces)
     lids = lid_vertices(template)
     corners, weights = _on_surface(mesh, faces, part, lids, rng)
-    if len(surfaces) > 1:
+    scenes = [ray_scene(mesh.vertices, closed) for closed in surfaces]
+    if part == "face":
         drawn = (mesh.vertices[corners] * weights).sum(1).astype(np.float32)
-        outside = np.flatnonzero(signed_distance(mesh.vertices, drawn, *surfaces) > -BURIED)
+        outside = np.flatnonzero(_distance_from_any(scenes, drawn) > -BURIED)
         kept = np.concatenate([outside, rng.choice(outside, SURFACE - len(outside))])
         corners, weights = corners[kept], weights[kept]
     surface, normals, places = (
@@ -163,7 +165,7 @@ def points_of(
         about += _about_openings(mesh, surface[lids[corners].all(1)], rng)
     points = np.concatenate(about).astype(np.float32)
     label = np.array([gaze.pitch, gaze.yaw], np.float32)
-    distance = signed_distance(mesh.vertices, points, *surfaces)
+    distance = _distance_from_any(scenes, points)
     arrays = codes.shape_code, codes.appearance_code, label, surface, normals, places, points, distance
     return SurfacePoints(*(torch.from_numpy(np.asarray(value, np.float32))[None] for value in arrays))
 
@@ -227,6 +229,10 @@ def signed_distance(vertices: np.ndarray, points: np.ndarray, *surfaces: np.ndar
         points: Where the distances are wanted.
         surfaces: (F, 3) each.
     """
+    return _distance_from_any([ray_scene(vertices, faces) for faces in surfaces], points)
+
+
+def _distance_from_any(scenes: list[Any], points: np.ndarray) -> np.ndarray:
+    """`signed_distance` from one scene for each closed surface."""
     wanted = tensor(points)
-    found = [ray_scene(vertices, faces).compute_signed_distance(wanted, nthreads=1).numpy() for faces in surfaces]
-    return np.min(found, axis=0)
+    return np.min([scene.compute_signed_distance(wanted, nthreads=1).numpy() for scene in scenes], axis=0)

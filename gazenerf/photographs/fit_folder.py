@@ -6,7 +6,7 @@ import shutil
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -98,16 +98,8 @@ def fit_folder(
     job = Fitting(where.folder(folder), where.folder(out), _placed(options, where), overwrite)
     failures = Failures("photograph", "photographs", "tries again")
     advance = advancing(progress, "fitting people", len(before), len(names))
-    with closing(results(job, [name for name in names if name not in before], where, advance=advance)) as every:
-        for done in every:
-            if done.error is not None:
-                if failures.add(done.item, done.error):
-                    break
-                continue
-            became = done.result
-            record.note(done.item, became)
-            say(f"{done.item}: {became['became']}{': ' + became['why'] if 'why' in became else ''}")
-    failures.refuse()
+    missing = [name for name in names if name not in before]
+    record.note_all(results(job, missing, where, advance=advance), failures, say)
     return FittedFolder(out, Counter(record.files[name]["became"] for name in names), len(before))
 
 

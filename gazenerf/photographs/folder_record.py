@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Generator
+from contextlib import closing
 from dataclasses import dataclass, field
 from typing import Any
 
 from gazenerf.errors import UserError
+from gazenerf.execution import Done, Failures
 from gazenerf.files import read_json, refuse_existing, whole_file
 from gazenerf.folders import Folder
 from gazenerf.options import to_dict
@@ -65,6 +67,28 @@ class FolderRecord:
         """Say what became of a photograph, and write the record."""
         self.files[name] = said
         self.save()
+
+    def note_all(self, every: Generator[Done, None, None], failures: Failures, say: Callable[[str], None]) -> None:
+        """Note what became of photographs as they are done, and tell of each.
+
+        Args:
+            every: Results, by the photographs' names; closed at the end.
+            failures: Takes what went wrong.
+            say: Is told one line about each photograph.
+
+        Raises:
+            UserError: something went wrong with some photographs, which are named.
+        """
+        with closing(every):
+            for done in every:
+                if done.error is not None:
+                    if failures.add(done.item, done.error):
+                        break
+                    continue
+                became = done.result
+                self.note(done.item, became)
+                say(f"{done.item}: {became['became']}{': ' + became['why'] if 'why' in became else ''}")
+        failures.refuse()
 
     def save(self) -> None:
         """Write it whole, photographs by name."""

@@ -119,9 +119,9 @@ def teacher_lesson(
     teacher: Teacher, renderer: Rasterizer, camera: Camera, gaze: Gaze, kind: str = AROUND_HEAD
 ) -> Lesson:
     """The teacher seen by a camera; on its outline, and between its lips where it has no teeth, it says nothing."""
-    raster = teacher.view(renderer, camera, gaze)
-    inside = cv2.erode((raster.parts > 0).astype(np.float32), np.ones((5, 5), np.uint8), borderValue=0)
     mesh = teacher.mesh(gaze)
+    raster = teacher.drawn(renderer, camera, mesh)
+    inside = cv2.erode((raster.parts > 0).astype(np.float32), np.ones((5, 5), np.uint8), borderValue=0)
     if not len(mesh.part_faces(MOUTH)):
         inside[_open_mouth(mesh, camera)] = 0.0
     return Lesson(teacher.codes, camera, gaze, _image(raster.image), torch.from_numpy(inside), kind)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -94,16 +94,8 @@ def redirect_folder(
     record.save()
     job = Redirecting(where.folder(folder), where.folder(out), where.placed(options))
     failures = Failures("picture", "pictures", "tries again")
-    with closing(results(job, [file.name for file in files if file.name not in before], where)) as every:
-        for done in every:
-            if done.error is not None:
-                if failures.add(done.item, done.error):
-                    break
-                continue
-            became = done.result
-            record.note(done.item, became)
-            say(f"{done.item}: {became['became']}{': ' + became['why'] if 'why' in became else ''}")
-    failures.refuse()
+    missing = [file.name for file in files if file.name not in before]
+    record.note_all(results(job, missing, where), failures, say)
     return MadeFolder(out, {name: record.counts[name] for name in (REDIRECTED, PASSED, UNREADABLE)}, len(before))
 
 

@@ -52,7 +52,10 @@ class Teacher:
 
     def view(self, renderer: Rasterizer, camera: Camera, gaze: Gaze) -> Raster:
         """A picture of the head on black; `renderer` has the camera's size."""
-        mesh = self.mesh(gaze)
+        return self.drawn(renderer, camera, self.mesh(gaze))
+
+    def drawn(self, renderer: Rasterizer, camera: Camera, mesh: HeadMesh) -> Raster:
+        """The same of a head that `mesh` gave."""
         colours = shade(mesh, self.codes.illumination, camera.position) + self.differences
         return renderer.render(mesh, np.clip(colours, 0.0, 1.0), camera)
 
