@@ -112,7 +112,7 @@ def drag(watched: Watched, seconds: float, fixed: int | None = None) -> dict[str
 def hold_size(visit: Visit, size: int) -> None:
     """Keep the coarse pictures of a visit at a size."""
     pace = visit._pace
-    pace.size, pace.took = size, lambda seconds: None
+    pace.size, pace.took = size, lambda seconds, size=None: None
 
 
 def move_slider(watched: Watched) -> dict[str, float]:

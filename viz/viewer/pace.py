@@ -33,9 +33,14 @@ class Pace:
         self.size = self._sizes[0]
         self._mean: float | None = None
 
-    def took(self, seconds: float) -> None:
-        """Learn from a picture of the present `size`, whose time is taken to go with its number of pixels."""
-        each = max(seconds, 1e-5) / self.size**2
+    def took(self, seconds: float, size: int | None = None) -> None:
+        """Learn from a picture, whose time is taken to go with its number of pixels.
+
+        Args:
+            seconds: For the picture; of several that were drawn at once, its share of them.
+            size: Pixels of its shorter side; the present `size` when None.
+        """
+        each = max(seconds, 1e-5) / (self.size if size is None else size) ** 2
         self._mean = each if self._mean is None else (1.0 - NEWEST) * self._mean + NEWEST * each
         best = (self.wanted / self._mean) ** 0.5
         if not self.size / KEEPS <= best < self.size * STEP:

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 
 import numpy as np
+import torch
 
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.heads.interface import RenderedView
@@ -28,6 +29,7 @@ class FlatBound:
 
 class FlatHead:
     trained_range = None
+    device = torch.device("cpu")
 
     def __init__(self) -> None:
         self.subject = Subject("flat", Codes(*(np.zeros(size) for size in (2, 2, 2, 27))))

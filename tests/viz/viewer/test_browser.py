@@ -191,12 +191,12 @@ def test_two_tabs_have_their_own_cameras_and_one_head(tab, browser, page):
     np.testing.assert_allclose(tab.now().camera.position, own, atol=1e-3)
     wait_until(lambda: abs(other.now().camera.position[0] - 6.0) < 1e-3)
     other.tab.close()
-    wait_until(lambda: other.number not in page.visits and not other.visit._thread.is_alive())
+    wait_until(lambda: other.number not in page.visits and not other.visit.drawing)
 
 
 def test_a_reloaded_tab_is_a_new_visit_and_the_old_one_ends(tab, page):
     tab.tab.reload()
-    wait_until(lambda: tab.number not in page.visits and not tab.visit._thread.is_alive())
+    wait_until(lambda: tab.number not in page.visits and not tab.visit.drawing)
     wait_until(lambda: len(page.visits) == 1)
     (visit,) = page.visits.values()
     wait_until(lambda: visit.settled, 60.0)

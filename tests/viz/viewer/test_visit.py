@@ -12,6 +12,7 @@ from gazenerf.heads.baked import BakedHead
 from gazenerf.heads.choose import choose_path
 from gazenerf.subjects import load_subject
 from gazenerf.viz.pictures.colormaps import to_uint8
+from gazenerf.viz.viewer import visit as visit_module
 from gazenerf.viz.viewer.field_facts import USUAL_SIZE
 from gazenerf.viz.viewer.gazes import GazeChoice
 from gazenerf.viz.viewer.paths import Paths, Unwanted
@@ -83,7 +84,7 @@ def test_nobody_waits_for_another_visitor(flat):
     release, stuck = threading.Event(), []
 
     def block_one() -> None:
-        if threading.current_thread() is slow._thread:
+        if threading.current_thread() in slow._threads:
             stuck.append(True)
             release.wait(20.0)
 
@@ -95,6 +96,81 @@ def test_nobody_waits_for_another_visitor(flat):
     assert not shown_slow
     release.set()
     wait_until(lambda: bool(shown_slow))
+
+
+@pytest.fixture
+def two_cores(monkeypatch):
+    monkeypatch.setattr(visit_module, "workers_for", lambda device: 2)
+
+
+def test_two_pictures_of_what_moves_are_drawn_at_once_and_a_late_one_is_not_shown(two_cores, flat):
+    visit, shown, _ = flat.visit()
+    gates, begun = [threading.Event(), threading.Event()], []
+
+    def wait_at_my_gate() -> None:
+        number = len(begun)
+        begun.append(number)
+        if number < len(gates):
+            gates[number].wait(20.0)
+
+    flat.head.before_drawing = wait_at_my_gate
+    visit.look(viewpoint(500, 400))
+    wait_until(lambda: len(begun) == 1)
+    visit.look(viewpoint(600, 400))
+    wait_until(lambda: len(begun) == 2)
+    visit.look(viewpoint(700, 400))
+    threading.Event().wait(0.1)
+    assert len(begun) == 2 and not shown, "two at once, no more"
+    gates[1].set()
+    wait_until(lambda: bool(shown) and shown[-1].full)
+    first = shown[0].camera
+    assert not shown[0].full and first.width / first.height == pytest.approx(600 / 400, rel=0.1)
+    count = len(shown)
+    gates[0].set()
+    threading.Event().wait(0.2)
+    assert len(shown) == count, "what was begun first shows where the camera no longer is"
+
+
+def test_a_camera_that_moves_while_the_full_picture_is_drawn_is_followed_at_once(two_cores, flat):
+    visit, shown, _ = flat.visit()
+    gate, stuck = threading.Event(), threading.Event()
+
+    def block_the_full_one() -> None:
+        camera, _ = flat.head.drawn[-1]
+        if min(camera.width, camera.height) == USUAL_SIZE and not stuck.is_set():
+            stuck.set()
+            gate.wait(20.0)
+
+    flat.head.before_drawing = block_the_full_one
+    visit.look(viewpoint(500, 400))
+    assert stuck.wait(20.0)
+    count = len(shown)
+    visit.look(viewpoint(900, 400))
+    wait_until(lambda: len(shown) > count)
+    assert not any(picture.full for picture in shown)
+    gate.set()
+    wait_until(lambda: shown[-1].full)
+    full = [picture.camera for picture in shown if picture.full]
+    assert len(full) == 1 and full[0].width > 2 * full[0].height, "only of where the camera is"
+
+
+def test_one_core_draws_one_picture_after_another(flat, monkeypatch):
+    monkeypatch.setattr(visit_module, "workers_for", lambda device: 1)
+    visit, shown, _ = flat.visit()
+    at_once, most = [0], [0]
+
+    def count() -> None:
+        at_once[0] += 1
+        most[0] = max(most[0], at_once[0])
+        threading.Event().wait(0.01)
+        at_once[0] -= 1
+
+    flat.head.before_drawing = count
+    for width in range(400, 800, 20):
+        visit.look(viewpoint(width, 400))
+        threading.Event().wait(0.005)
+    wait_until(lambda: bool(shown) and shown[-1].full)
+    assert most == [1]
 
 
 def test_a_picture_that_fails_is_told_and_the_visit_goes_on(flat, capsys):
