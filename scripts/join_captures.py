@@ -40,7 +40,7 @@ def join(base: Path, more: Path, out: Path, held_out: set[int], others: bool = F
         UserError: a set is missing, they do not fit together, or `out` holds another set.
     """
     manifests = [{k: v for k, v in read_manifest(folder).items() if k != "format"} for folder in (base, more)]
-    may_differ = COUNTS | JOINED | ({"seed"} if others else set())
+    may_differ = COUNTS | JOINED | ({"seed", "expressions"} if others else set())
     first, second = ({k: v for k, v in manifest.items() if k not in may_differ} for manifest in manifests)
     differing = sorted(key for key in first.keys() | second.keys() if first.get(key) != second.get(key))
     if differing:
@@ -56,7 +56,10 @@ def join(base: Path, more: Path, out: Path, held_out: set[int], others: bool = F
         everybody = manifests[0]["people"] + manifests[1]["people"]
         about |= {
             "people": everybody,
-            "other_people": [*_others(manifests[0]), {**joined, "seed": manifests[1]["seed"]}],
+            "other_people": [
+                *_others(manifests[0]),
+                joined | {k: manifests[1][k] for k in ("seed", "expressions") if k in manifests[1]},
+            ],
         }
     else:
         about["more_views"] = joined

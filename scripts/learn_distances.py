@@ -19,7 +19,7 @@ from gazenerf.checkpoints import load_field, save_field
 from gazenerf.cli.common import showing_progress
 from gazenerf.errors import UserError
 from gazenerf.field.config import FieldConfig
-from gazenerf.training.distances import DistanceOptions, learn_distances
+from gazenerf.training.distances import JAW, DistanceOptions, learn_distances, template_jaw
 from gazenerf.training.initial import starting_field
 
 SIZES = ("distance_width", "distance_frequencies", "distance_template", "surface_spread")
@@ -38,6 +38,12 @@ def main() -> None:
     parser.add_argument("--people", type=int, default=500)
     parser.add_argument("--learning-rate", type=float, default=2e-3)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument(
+        "--jaw",
+        type=float,
+        default=None,
+        help=f"jawOpen of the template (default: what it was, {JAW} for new distances)",
+    )
     parser.add_argument("--resume", action="store_true", help="go on from the folder's distances.pt")
     arguments = parser.parse_args()
     field = load_field(arguments.checkpoint)
@@ -47,13 +53,18 @@ def main() -> None:
     sizes = {} if further else {name: getattr(FieldConfig(), name) for name in SIZES}
     encoding = {"template_frequencies": OCTAVES, "template_fall": FALL}
     field = starting_field(replace(field.config, geometry="distance", **encoding, **sizes), field)
-    rate = arguments.learning_rate
-    options = DistanceOptions(arguments.steps, arguments.people, rate, limits, arguments.seed, further)
+    rate, jaw = arguments.learning_rate, arguments.jaw
+    if jaw is None:
+        jaw = template_jaw(field) if further else JAW
+    options = DistanceOptions(arguments.steps, arguments.people, rate, limits, arguments.seed, further, jaw)
     arguments.out.mkdir(parents=True, exist_ok=True)
     with showing_progress() as progress:
         measured = learn_distances(field, options, arguments.out, resume=arguments.resume, progress=progress)
     steps = options.steps + (about.get("geometry", {}).get("steps", 0) if further else 0)
-    field.about = {**about, "geometry": {"steps": steps, "people": options.people, "unseen_people": measured}}
+    field.about = {
+        **about,
+        "geometry": {"steps": steps, "people": options.people, "jaw": jaw, "unseen_people": measured},
+    }
     save_field(field, arguments.out / "field.safetensors")
     print(f"wrote {arguments.out / 'field.safetensors'}: {measured}")
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gazenerf.geometry import Camera, Gaze
-from gazenerf.head_model.expressions import sample_expressions
+from gazenerf.head_model.expressions import sample_expressions, with_open_mouth
 from gazenerf.head_model.model import ParametricHead
 from gazenerf.head_model.sampling import sample_expression, sample_person
 from gazenerf.subjects import Codes
@@ -27,8 +27,8 @@ XGAZE_LAYOUT: tuple[tuple[float, float], ...] = (
 
 LAYOUTS = ("random", "xgaze18")
 
-EXPRESSIONS = ("all", "few")
-"""All of ARKit's coefficients in combination, or one to three at a time."""
+EXPRESSIONS = ("all", "few", "open")
+"""All of ARKit's coefficients in combination, one to three at a time, or all with the mouth open in every view."""
 
 
 @dataclass(frozen=True)
@@ -66,8 +66,8 @@ def plan_view(
         size: Picture side in pixels.
         layout: `random` cameras or `xgaze18`, where view v is camera v % 18 of frame v // 18, and
             expression and gaze are constant over a frame.
-        expressions: `all` (`sample_expressions`) or `few` (`sample_expression`), what captures drew before 0.3; all
-            else of the view stays the same.
+        expressions: `all` (`sample_expressions`), `few` (`sample_expression`), what captures drew before 0.3, or
+            `open` (`with_open_mouth` of all); all else of the view stays the same.
 
     Raises:
         ValueError: unknown layout or expressions.
@@ -82,8 +82,10 @@ def plan_view(
     pitch, yaw = rng.uniform(-GAZE_PITCH, GAZE_PITCH), rng.uniform(-GAZE_YAW, GAZE_YAW)
     gaze = Gaze.from_degrees(float(pitch), float(yaw))
     expression = sample_expression(rng, model)  # also where it is not used, so that light and camera stay the same
-    if expressions == "all":
-        expression = sample_expressions(np.random.default_rng((seed, person, 3, frame)), model, gaze)
+    if expressions != "few":
+        of_frame = np.random.default_rng((seed, person, 3, frame))
+        expression = sample_expressions(of_frame, model, gaze)
+        expression = with_open_mouth(of_frame, model, expression) if expressions == "open" else expression
     light = who.illumination * np.repeat(1.0 + 0.04 * rng.normal(size=9), 3).astype(np.float32)
     if layout == "random":
         camera_yaw = float(np.clip(rng.normal(0, 42), -CAMERA_YAW, CAMERA_YAW))

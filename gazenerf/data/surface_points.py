@@ -12,9 +12,10 @@ import numpy as np
 import torch
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
 
 from gazenerf.geometry import Gaze
-from gazenerf.head_model.expressions import sample_expressions
+from gazenerf.head_model.expressions import sample_expressions, with_open_mouth
 from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, FACE, MOUTH, HeadMesh
 from gazenerf.head_model.model import ParametricHead
 from gazenerf.head_model.ray_scenes import ray_scene, tensor
@@ -46,6 +47,16 @@ OPENINGS, LID_DEVIATIONS, AHEAD = 800, (0.005, 0.02), 0.06
 """More points about the face, so many each: near lids, with these standard deviations, and up to this far ahead of the
 eyeballs, world units. A lid half a millimetre thick too much, or a distance too small between lids, covers the eye."""
 
+LIP_REACH, LIPS_HIDDEN, LIPS_SHARE = 0.12, 0.3, 4.0
+"""Skin that lies within so many world units of the line between the lips of the template is sampled as densely as this;
+the lips' inner sides as if they saw this share of their surroundings."""
+
+LIP_STEPS = 41
+"""Points along the inner border of a lip."""
+
+BETWEEN_LIPS = (0.05, -0.2)
+"""World units ahead of the inner border of the lips, and behind it, between which points lie in the opening."""
+
 BURIED = 1e-4
 """World units by which a point of one closed surface lies inside another, as roots of teeth do, if it is not drawn."""
 
@@ -60,6 +71,9 @@ STRAIGHT = 0.2
 
 SETTLED = 0.4
 """Share of the people with the expression that the sampler of people gives, the others with many at once."""
+
+OPEN = 0.35
+"""Share of the people who open their mouth, see `with_open_mouth`."""
 
 
 @dataclass(frozen=True)
@@ -102,12 +116,41 @@ def draw_person(rng: np.random.Generator, model: ParametricHead, trained: tuple[
     codes = sample_person(rng, model)
     if rng.random() >= SETTLED:
         codes = replace(codes, expression=sample_expressions(rng, model, gaze).astype(np.float32))
+    if rng.random() < OPEN:
+        codes = replace(codes, expression=with_open_mouth(rng, model, codes.expression))
     return codes, gaze
 
 
-def template_of(model: ParametricHead) -> HeadMesh:
-    """The head on which every person's points have their places: mean codes, looking straight ahead."""
-    return model.mesh(Codes(*(np.zeros(size, np.float32) for size in model.code_sizes)), Gaze())
+def template_of(model: ParametricHead, jaw: float = 0.0) -> HeadMesh:
+    """The head on which every person's points have their places: mean codes, looking straight ahead.
+
+    Args:
+        model: The head model.
+        jaw: How far its mouth is open, weight of the expression `jawOpen`. Where the template's lips touch, all the air
+            of an open mouth has its places between two surfaces that are one, and no smooth move gives it room.
+    """
+    codes = Codes(*(np.zeros(size, np.float32) for size in model.code_sizes))
+    if jaw:
+        codes.expression[model.expression_names.index("jawOpen")] = jaw
+    return model.mesh(codes, Gaze())
+
+
+def lip_vertices(template: HeadMesh) -> np.ndarray:
+    """(V,) bool, the skin about the line between the lips of the template, inside the mouth as well."""
+    line = np.concatenate(_inner_lips(template))
+    near = KDTree(line).query(template.vertices, distance_upper_bound=LIP_REACH)[0] < LIP_REACH
+    near[np.unique(template.part_faces(EYE_LEFT, EYE_RIGHT, MOUTH))] = False
+    return near
+
+
+def _inner_lips(mesh: HeadMesh) -> tuple[np.ndarray, np.ndarray]:
+    """(K, 3) points each along the inner border of the upper and of the lower lip, from corner to corner."""
+    borders = []
+    for numbers in ((60, 61, 62, 63, 64), (60, 67, 66, 65, 64)):
+        corners = np.stack([mesh.landmarks[str(number)] for number in numbers]).astype(np.float64)
+        at = np.linspace(0.0, len(corners) - 1.0, LIP_STEPS)
+        borders.append(np.stack([np.interp(at, np.arange(len(corners)), values) for values in corners.T], axis=1))
+    return borders[0], borders[1]
 
 
 def lid_vertices(template: HeadMesh) -> np.ndarray:
@@ -144,8 +187,8 @@ def points_of(
     """
     surfaces = closed_surfaces(mesh, part)
     faces = np.concatenate(surfaces)
-    lids = lid_vertices(template)
-    corners, weights = _on_surface(mesh, faces, part, lids, rng)
+    lids, lips = lid_vertices(template), lip_vertices(template)
+    corners, weights = _on_surface(mesh, faces, part, lids, lips, rng)
     scenes = [ray_scene(mesh.vertices, closed) for closed in surfaces]
     if part == "face":
         drawn = (mesh.vertices[corners] * weights).sum(1).astype(np.float32)
@@ -162,6 +205,7 @@ def points_of(
     anywhere = rng.uniform(used.min(0) - MARGIN, used.max(0) + MARGIN, (ANYWHERE, 3))
     about = [near, anywhere]
     if part == "face":
+        about += _about_mouth(mesh, surface[lips[corners].all(1)], rng)
         about += _about_openings(mesh, surface[lids[corners].all(1)], rng)
     points = np.concatenate(about).astype(np.float32)
     label = np.array([gaze.pitch, gaze.yaw], np.float32)
@@ -184,10 +228,29 @@ def closed_surfaces(mesh: HeadMesh, part: str) -> list[np.ndarray]:
     return [mesh.part_faces(FACE), *(behind[label == one] for one in np.unique(label))]
 
 
+def _near(surface: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """(`OPENINGS`, 3) points near some on lids or lips (K, 3)."""
+    spread = np.where(np.arange(OPENINGS) % 2 == 0, *LID_DEVIATIONS)[:, None]
+    return surface[rng.integers(len(surface), size=OPENINGS)] + spread * rng.standard_normal((OPENINGS, 3))
+
+
+def _about_mouth(mesh: HeadMesh, lips: np.ndarray, rng: np.random.Generator) -> list[np.ndarray]:
+    """Points near some on the lips (K, 3), and points in the opening between them: (`OPENINGS`, 3) each."""
+    return [_near(lips, rng), opening_points(mesh, OPENINGS, rng)]
+
+
+def opening_points(mesh: HeadMesh, count: int, rng: np.random.Generator) -> np.ndarray:
+    """(N, 3) points between the inner borders of a person's lips, ahead and behind: air where the mouth is open."""
+    upper, lower = _inner_lips(mesh)
+    along, between = rng.integers(len(upper), size=count), rng.random(count)[:, None]
+    points = (1.0 - between) * upper[along] + between * lower[along]
+    points[:, 2] += rng.uniform(BETWEEN_LIPS[1], BETWEEN_LIPS[0], count)
+    return points + LID_DEVIATIONS[0] * rng.standard_normal((count, 3))
+
+
 def _about_openings(mesh: HeadMesh, lids: np.ndarray, rng: np.random.Generator) -> list[np.ndarray]:
     """Points near some on the lids (K, 3), and points ahead of the eyeballs: (`OPENINGS`, 3) each."""
-    spread = np.where(np.arange(OPENINGS) % 2 == 0, *LID_DEVIATIONS)[:, None]
-    near = lids[rng.integers(len(lids), size=OPENINGS)] + spread * rng.standard_normal((OPENINGS, 3))
+    near = _near(lids, rng)
     balls = _eyeballs(mesh)
     which = rng.integers(len(balls), size=OPENINGS)
     centres, radii = np.array([ball[0] for ball in balls])[which], np.array([ball[1] for ball in balls])[which]
@@ -198,7 +261,7 @@ def _about_openings(mesh: HeadMesh, lids: np.ndarray, rng: np.random.Generator) 
 
 
 def _on_surface(
-    mesh: HeadMesh, faces: np.ndarray, part: str, lids: np.ndarray, rng: np.random.Generator
+    mesh: HeadMesh, faces: np.ndarray, part: str, lids: np.ndarray, lips: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """(S, 3) corners of triangles, indices of vertices, and (S, 3, 1) weights of the points drawn on them."""
     a, b, c = (mesh.vertices[faces[:, i]].astype(np.float64) for i in range(3))
@@ -210,6 +273,7 @@ def _on_surface(
             often = np.where(mesh.occlusion[faces].mean(1) < HIDDEN, HIDDEN_SHARE, 1.0)
         behind = np.arange(len(faces)) >= len(mesh.part_faces(FACE))
         often = np.where(behind & (often == 1.0), MOUTH_SHARE, often)
+        often = np.where(lips[faces].all(1), LIPS_SHARE * np.maximum(often, LIPS_HIDDEN), often)
         often = np.where(lids[faces].all(1), LIDS_SHARE * np.maximum(often, LIDS_HIDDEN), often)
     by_area, by_triangle = area * often, often
     share = (1.0 - BY_TRIANGLE) * by_area / by_area.sum() + BY_TRIANGLE * by_triangle / by_triangle.sum()

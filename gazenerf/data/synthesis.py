@@ -53,7 +53,10 @@ class SynthesizeOptions:
         "random", "cameras: random, or xgaze18 for 18 fixed ones around each pose (default: random)", metavar="NAME"
     )
     expressions: str = option(
-        "all", "all 52 coefficients in combination, or few: one to three at a time (default: all)", metavar="NAME"
+        "all",
+        "all 52 coefficients in combination, few: one to three at a time, "
+        "or open: all of them, with the mouth open in every view (default: all)",
+        metavar="NAME",
     )
     renderer: str = option(
         "pyrender",

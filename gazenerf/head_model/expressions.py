@@ -54,6 +54,9 @@ JAW_OPENING, LIP_PLAY = 26.6, 0.8
 LIDS_MEET, SQUINT_CLOSES, LOOK_CLOSES = 0.75, 0.2, (0.25, 0.12)
 """The eyeBlink that closes the bundled head's lids, and what a whole squint or look, down or up, takes off it."""
 
+OPEN_JAW = (0.05, 0.8)
+"""How far the mouth of `with_open_mouth` is open at least, jawOpen."""
+
 
 def sample_expressions(rng: np.random.Generator, model: HeadModel, gaze: Gaze) -> np.ndarray:
     """(E,) expression coefficients from 0 to 1: mild combinations of most actions, some strong ones, or both.
@@ -78,6 +81,22 @@ def sample_expressions(rng: np.random.Generator, model: HeadModel, gaze: Gaze) -
         share = weaker[i] if name in PAIRED else 0.0
         coefficients |= {name + sides[0]: amounts[name] * share, name + sides[1]: amounts[name]}
     return np.array([coefficients.get(name, 0.0) for name in model.expression_names], dtype=np.float32)
+
+
+def with_open_mouth(rng: np.random.Generator, model: HeadModel, expression: np.ndarray) -> np.ndarray:
+    """The coefficients (E,) with the jaw open: few of those that are drawn open the mouth widely.
+
+    Args:
+        rng: Draws one number, how far.
+        model: Whose coefficients they are; without jawOpen they stay as they are.
+        expression: (E,).
+    """
+    amount = rng.uniform(*OPEN_JAW)
+    if "jawOpen" not in model.expression_names:
+        return expression
+    jaw, opened = model.expression_names.index("jawOpen"), expression.copy()
+    opened[jaw] = max(opened[jaw], amount)
+    return opened
 
 
 def _draw(rng: np.random.Generator) -> np.ndarray:

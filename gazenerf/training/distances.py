@@ -33,7 +33,7 @@ STATE, LOG = "distances.pt", "distances.jsonl"
 
 PARTS = ("face", "eyes")
 
-PEOPLE, ON, ABOUT = 8, {"face": 160, "eyes": 48}, {"face": 160, "eyes": 48}
+PEOPLE, ON, ABOUT = 8, {"face": 160, "eyes": 48}, {"face": 192, "eyes": 48}
 """Of a step: people, and points of each on a surface and about it."""
 
 SURFACE, DISTANCE, NORMAL, EIKONAL, PLACE = 10.0, 0.2, 1.0, 0.1, 5.0
@@ -41,6 +41,9 @@ SURFACE, DISTANCE, NORMAL, EIKONAL, PLACE = 10.0, 0.2, 1.0, 0.1, 5.0
 
 PLACES_FIRST, PLACES = 0.4, 4
 """Share of the steps that learn nothing but where points lie on the template, from so many times the points."""
+
+JAW = 0.25
+"""How far the template's mouth is open, see `template_of`: further than a closed one and less than a wide one."""
 
 NEAR = 0.02
 """World units: a distance is learned to a share of itself and this, so that far points do not outweigh near ones."""
@@ -60,6 +63,7 @@ class DistanceOptions:
         trained: Largest |pitch| and |yaw| of their gazes, degrees.
         seed: Seeds people and steps.
         further: The field knows distances already, which are learned further.
+        jaw: How far the mouth of the template is open; see `template_of`.
     """
 
     steps: int
@@ -68,6 +72,7 @@ class DistanceOptions:
     trained: tuple[float, float]
     seed: int = 1
     further: bool = False
+    jaw: float = JAW
 
 
 def hold_distances(
@@ -99,14 +104,19 @@ def hold_distances(
         rate, people = config.geometry_learning_rate, config.geometry_people
         options = DistanceOptions(config.geometry_steps, people, rate, limits, config.seed)
         measured = learn_distances(model, options, out, resume=resume, write=runtime.rank == 0, progress=progress)
-        found = {"steps": options.steps, "people": people, "unseen_people": measured}
+        found = {"steps": options.steps, "people": people, "jaw": options.jaw, "unseen_people": measured}
     for name in model.streams:
         distance_network(model, name).requires_grad_(False)
     return found
 
 
 def draw_points(
-    field: TwoStreamField, trained: tuple[float, float], count: int, seed: int, progress: Progress = silent
+    field: TwoStreamField,
+    trained: tuple[float, float],
+    count: int,
+    seed: int,
+    jaw: float = 0.0,
+    progress: Progress = silent,
 ) -> dict[str, SurfacePoints]:
     """Points about the surfaces of people drawn from the bundled head model, by part.
 
@@ -117,6 +127,7 @@ def draw_points(
         trained: Largest |pitch| and |yaw| of their gazes, degrees.
         count: How many people.
         seed: Draws them.
+        jaw: How far the mouth of the template is open; see `template_of`.
         progress: Told about people.
 
     Raises:
@@ -130,7 +141,7 @@ def draw_points(
             f"{config.expression}); choose geometry density"
         )
 
-    template = template_of(model)
+    template = template_of(model, jaw)
 
     def person(number: int) -> list[SurfacePoints]:
         rng = np.random.default_rng((seed, number))
@@ -192,7 +203,7 @@ def learn_distances(
     device = next(field.parameters()).device
     step = 0 if state is None else int(state["step"])
     if step < options.steps:
-        points = draw_points(field, options.trained, options.people, options.seed, progress)
+        points = draw_points(field, options.trained, options.people, options.seed, options.jaw, progress)
         if not options.further:
             for part, balls in first_balls(points).items():
                 networks[part].set_balls(balls)
@@ -212,8 +223,13 @@ def learn_distances(
     elif state is not None:
         for part, network in networks.items():
             network.load_state_dict(state["networks"][part])
-    unseen = draw_points(field, options.trained, CHECKED, CHECK_SEED)
+    unseen = draw_points(field, options.trained, CHECKED, CHECK_SEED, options.jaw)
     return {part: measure_distances(field, part, unseen[part].to(device)) for part in PARTS}
+
+
+def template_jaw(field: TwoStreamField) -> float:
+    """How far the mouth is open on the template that a field's distances were learned with."""
+    return float(field.about.get("geometry", {}).get("jaw", 0.0))
 
 
 def distance_network(field: TwoStreamField, part: str) -> DistanceNetwork:

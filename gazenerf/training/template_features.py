@@ -1,8 +1,8 @@
-"""Features of a field of distances moved from points in space to places on the template.
+"""Features of a field of distances moved from points in space, or another template's places, to a template's places.
 
 A brow that is learned where it lies on the template lies right on everybody, and stays on the skin when that moves. A
-field that learned its features at points is taught to itself: at points about the surfaces of the head model's people
-the new features are to be what the old ones are there. No picture is looked at.
+field is taught what another one knows, or itself: at points about the surfaces of the head model's people the new
+features are to be what the old ones are there. No picture is looked at.
 """
 
 from __future__ import annotations
@@ -58,6 +58,7 @@ def move_features(
     options: FeatureOptions,
     out: Path,
     *,
+    onto: TwoStreamField | None = None,
     resume: bool = False,
     save_every: int = 250,
     progress: Progress = silent,
@@ -67,9 +68,10 @@ def move_features(
     Writes `features.pt` (to resume) to `out`.
 
     Args:
-        field: Of geometry `distance`, its features at `points`.
+        field: Of geometry `distance`, its features at `points`; anywhere where `onto` is given.
         options: See `FeatureOptions`.
         out: Folder of the run.
+        onto: The field whose copy learns the features, such as one with another template; `field` when None.
         resume: Continue from `out/features.pt` where it is there.
         save_every: Steps between states.
         progress: Told about people and steps.
@@ -82,15 +84,23 @@ def move_features(
         UserError: the field is of another kind or takes other codes than the head model, or a state that does not fit.
     """
     limits = field.config.trained_gaze_range
-    if field.config.geometry != "distance" or field.config.features_at != "points" or limits is None:
+    if field.config.geometry != "distance" or limits is None or (onto is None and field.config.features_at != "points"):
         raise UserError("a field of distances with features at points, which knows its trained gaze range, is needed")
+    if onto is not None:
+        same = ("geometry", "feature_channels", "hidden", "code_sizes", "feature_size")
+        if differing := [name for name in same if getattr(field.config, name) != getattr(onto.config, name)]:
+            raise UserError(
+                f"features cannot be moved from one field onto another that differs in {', '.join(differing)}"
+            )
     device = next(field.parameters()).device
 
     def people(count: int, seed: int) -> dict[str, SurfacePoints]:
-        return {part: some.to(device) for part, some in draw_points(field, limits, count, seed, progress).items()}
+        return {
+            part: some.to(device) for part, some in draw_points(field, limits, count, seed, progress=progress).items()
+        }
 
     unseen = people(CHECKED, CHECK_SEED)
-    moving = _Moving(field, on_template(field), people(options.people, options.seed), unseen, options)
+    moving = _Moving(field, on_template(onto or field), people(options.people, options.seed), unseen, options)
     if resume and (out / STATE).is_file():
         moving.load(read_state(out / STATE), out / STATE)
     while moving.step < options.steps:

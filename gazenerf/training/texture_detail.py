@@ -24,6 +24,7 @@ from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, FACE
 from gazenerf.head_model.model import ParametricHead
 from gazenerf.head_model.ray_scenes import ray_scene, tensor
 from gazenerf.head_model.sampling import sample_person
+from gazenerf.training.distances import template_jaw
 
 FADING, BESIDE_EYES = 12.0, 1.0
 """Degrees over which detail fades at the border of what it covers, and beside the openings of the eyes."""
@@ -67,7 +68,7 @@ def learn_texture_detail(field: TwoStreamField, options: DetailOptions | None = 
         raise UserError("texture detail is kept by place on the template; the field needs features_at template")
     if field.config.code_sizes != model.code_sizes:
         raise UserError(f"the field takes codes of {field.config.code_sizes}, the head model has {model.code_sizes}")
-    skin = TemplateSkin(model, options.size)
+    skin = TemplateSkin(model, options.size, template_jaw(field))
     rngs = (np.random.default_rng((options.seed, number)) for number in range(options.people))
     codes = np.stack([[1.0, *sample_person(rng, model).texture] for rng in rngs])
     varying = np.sqrt(np.mean(np.square(codes), axis=0)).clip(min=1e-3)
@@ -81,11 +82,12 @@ class TemplateSkin:
     Args:
         model: The head model.
         size: Rows and columns of directions; see `gazenerf.field.detail`.
+        jaw: How far its mouth is open, see `template_of`.
     """
 
-    def __init__(self, model: ParametricHead, size: tuple[int, int]) -> None:
+    def __init__(self, model: ParametricHead, size: tuple[int, int], jaw: float = 0.0) -> None:
         self._model, self.size = model, size
-        template = template_of(model)
+        template = template_of(model, jaw)
         elevation, azimuth = np.meshgrid(*map(np.radians, self._angles()), indexing="ij")
         level = np.cos(elevation)
         outward = np.stack([np.sin(azimuth) * level, np.sin(elevation), np.cos(azimuth) * level], axis=-1)

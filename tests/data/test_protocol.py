@@ -77,5 +77,14 @@ def test_few_or_all_expressions_change_the_expression_alone(head):
         drawn = {head.expression_names[i]: float(few.codes.expression[i]) for i in np.flatnonzero(few.codes.expression)}
         expected = {"browDownLeft": 0.437462, "browDownRight": 0.365474, "jawOpen": 0.649882, "mouthPucker": 0.782453}
         assert drawn == pytest.approx(expected, abs=1e-5)
-    with pytest.raises(ValueError, match="all, few"):
+    jaws = [
+        [plan_view(head, 1, person, 0, 64, "random", name).codes.expression for person in range(12)]
+        for name in ("all", "open")
+    ]
+    jaw = head.expression_names.index("jawOpen")
+    shut, opened = (np.array([face[jaw] for face in faces]) for faces in jaws)
+    assert (opened >= shut).all() and opened.min() > 0.05 and np.median(opened) > 2.0 * np.median(shut)
+    for before, after in zip(*jaws, strict=True):
+        np.testing.assert_array_equal(np.delete(after, jaw), np.delete(before, jaw))
+    with pytest.raises(ValueError, match="all, few, open"):
         plan_view(head, 0, 0, 0, 64, "random", "some")

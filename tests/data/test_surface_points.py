@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -16,6 +18,8 @@ from gazenerf.data.surface_points import (
     closed_surfaces,
     draw_person,
     lid_vertices,
+    lip_vertices,
+    opening_points,
     points_of,
     signed_distance,
     template_of,
@@ -73,6 +77,45 @@ def test_lids_and_what_is_between_them_are_sampled_densely(person: tuple[HeadMes
     ahead = points["face"].points[0, -OPENINGS:].numpy()
     away = np.sqrt(((ahead[:, None] - mesh.vertices[eyes][None]) ** 2).sum(-1).min(1))
     assert away.max() < AHEAD + 0.02 and (points["face"].distance[0, -OPENINGS:] > 0.01).float().mean() > 0.1
+
+
+def test_lips_and_what_is_between_them_are_sampled_densely() -> None:
+    rng, model = np.random.default_rng(4), load_head_model()
+    template = template_of(model)
+    lips = lip_vertices(template)
+    assert 0.005 < lips.mean() < 0.1
+    middle = 0.5 * (template.landmarks["62"] + template.landmarks["66"])
+    assert np.abs(template.vertices[lips] - middle).max(0) == pytest.approx([0.37, 0.2, 0.25], abs=0.15)
+    codes, gaze = draw_person(rng, model, (25.0, 35.0))
+    air = []
+    for jaw in (0.0, 0.6):
+        expression = np.zeros_like(codes.expression)
+        expression[model.expression_names.index("jawOpen")] = jaw
+        mesh = model.mesh(replace(codes, expression=expression), gaze)
+        points = opening_points(mesh, 2000, rng)
+        air.append(
+            np.mean(signed_distance(mesh.vertices, points.astype(np.float32), *closed_surfaces(mesh, "face")) > 0.01)
+        )
+        found = points_of(mesh, template, "face", codes, gaze, rng)
+        nearest = ((found.places[0, ::6, None].numpy() - template.vertices[None]) ** 2).sum(-1).argmin(1)
+        assert 0.04 < lips[nearest].mean() < 0.4
+    assert air[0] < 0.45 and air[1] > 0.6, air
+
+
+def test_the_template_may_have_an_open_mouth() -> None:
+    model = load_head_model()
+    shut, opened = template_of(model), template_of(model, 0.25)
+    gaps = [np.linalg.norm(head.landmarks["62"] - head.landmarks["66"]) for head in (shut, opened)]
+    assert gaps[0] < 0.02 and 0.06 < gaps[1] < 0.15
+    np.testing.assert_array_equal(opened.eye_centres, shut.eye_centres)
+    assert np.abs(opened.vertices - shut.vertices)[shut.vertices[:, 1] > 0.3].max() < 0.02
+
+
+def test_some_people_open_their_mouths() -> None:
+    model = load_head_model()
+    jaw = model.expression_names.index("jawOpen")
+    jaws = np.array([draw_person(np.random.default_rng(i), model, (20.0, 20.0))[0].expression[jaw] for i in range(80)])
+    assert 0.15 < (jaws > 0.25).mean() < 0.6
 
 
 def test_people_are_joined_and_look_within_the_range() -> None:

@@ -71,7 +71,7 @@ def test_surfaces_come_nearer_to_peoples(tmp_path: Path) -> None:
     for part, most in (("face", 7.0), ("eyes", 0.8)):
         assert after[part]["median_mm"] < min(most, 0.6 * before[part]["median_mm"]), part
         assert after[part]["normals_deg"] < before[part]["normals_deg"], part
-    assert after["face"]["places_mm"] < 0.9 * before["face"]["places_mm"]
+    assert after["face"]["places_mm"] < 0.96 * before["face"]["places_mm"]
     assert found["eyes"]["median_mm"] < 2.5 and found["face"]["normals_deg"] < 50.0
     rows = [json.loads(line) for line in (tmp_path / "distances.jsonl").read_text().splitlines()]
     # places alone are learned for the first 120 steps

@@ -56,6 +56,22 @@ def test_features_come_nearer_to_what_they_were_and_distances_stay(
     assert same(moved, field, ".distance.") and same(moved, field, "renderer.") and not same(moved, field)
 
 
+def test_another_field_learns_the_features_and_keeps_its_distances(
+    field: TwoStreamField, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(template_features, "CHECK_SEED", 3)
+    torch.manual_seed(1)
+    onto = on_template(TwoStreamField(field.config).eval())
+    taught = on_template(field)
+    before = move_features(taught, FeatureOptions(0, 2, seed=3), tmp_path, onto=onto)[1]
+    moved, after = move_features(taught, FeatureOptions(60, 2, learning_rate=2e-3, seed=3), tmp_path, onto=onto)
+    assert after["face"] < 0.8 * before["face"] and after["eyes"] < 0.8 * before["eyes"]
+    assert same(moved, onto, ".distance.") and not same(moved, field, ".distance.")
+    with pytest.raises(UserError, match="hidden"):
+        other = TwoStreamField(replace(field.config, hidden=2 * field.config.hidden))
+        move_features(field, FeatureOptions(1, 1), tmp_path, onto=other)
+
+
 def test_a_run_that_stopped_goes_on_as_if_it_had_not(field: TwoStreamField, tmp_path: Path) -> None:
     whole = move_features(field, FeatureOptions(4, 2), tmp_path / "whole")[0]
     state = torch.load(tmp_path / "whole" / STATE, weights_only=True)
