@@ -1,4 +1,4 @@
-"""From photographs of one person to subjects: shape, pose, gaze, then irises from pixels, then texture and light."""
+"""From photographs of one person to subjects: shape, pose, gaze, then eyes from pixels, then texture and light."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ from gazenerf.image_metrics import psnr
 from gazenerf.photographs.appearance import Seen, face_oval, fit_appearance
 from gazenerf.photographs.correspondence import LandmarkTable, table_for
 from gazenerf.photographs.eye_outlines import told_outlines
-from gazenerf.photographs.irises import CLOSED, find_irises, openness
+from gazenerf.photographs.irises import CLOSED, find_eyes, lid_landmarks, openness
 from gazenerf.photographs.landmarks import FaceLandmarks
-from gazenerf.photographs.picture_terms import Observed
+from gazenerf.photographs.picture_terms import Observed, SeenOpenings
+from gazenerf.photographs.seen_gaze import seen_gaze
 from gazenerf.photographs.shape_fit import PictureFit, ShapeFit, fit_shape
 from gazenerf.photographs.teeth import teeth_are_shut
 from gazenerf.subjects import FITTED, Codes, Subject
@@ -30,6 +31,9 @@ SMALLEST_INTEROCULAR, GAZE_INTEROCULAR = 8.0, 40.0
 
 WORKING_INTEROCULAR = 120.0
 """Pixels between the eyes to which larger pictures are averaged down for texture, light and the overlay."""
+
+EYE_ROUNDS = 2
+"""How often the eyes are looked for, each time with the head as it was fitted before."""
 
 MARGIN = 2.2
 """What is worked on around the eyes, in distances between the eyes to each side."""
@@ -127,12 +131,14 @@ def fit_photographs(
     coarse = fit_shape(model, observed, table, identity=identity, one_camera=one_camera)
     for photograph, picture in zip(photographs, coarse.pictures, strict=True):
         refuse_profile(photograph.name, picture)
-    shape = _with_pixel_irises(model, photographs, observed, table, coarse, identity, one_camera)
+    shape, found = coarse, observed
+    for _ in range(EYE_ROUNDS):
+        shape, found = _with_eyes(model, photographs, observed, table, shape, identity, one_camera)
     seen = [_seen(model, p, shape, i) for i, p in enumerate(photographs)]
     texture, lights = fit_appearance(model, seen, None if known is None else known.texture)
     return [
         _fitted(model, photograph, (coarse.pictures[i], shape.pictures[i]), shape.identity, seen[i],
-                (texture, lights[i]), table)
+                (texture, lights[i]), table, found[i])
         for i, photograph in enumerate(photographs)
     ]  # fmt: skip
 
@@ -151,26 +157,40 @@ def refuse_profile(name: str, picture: PictureFit) -> None:
         )
 
 
-def _with_pixel_irises(
+def _with_eyes(
     model: HeadModel,
     photographs: Sequence[Photograph],
     observed: list[Observed],
     table: LandmarkTable,
-    coarse: ShapeFit,
+    fitted: ShapeFit,
     identity: np.ndarray | None,
     one_camera: bool,
-) -> ShapeFit:
-    """The fit with irises from pixels where they are found."""
-    centres = np.asarray(model.eye_centres(coarse.identity), dtype=np.float64)
+) -> tuple[ShapeFit, list[Observed]]:
+    """The fit with irises and openings of the eyes from pixels, and with the gaze that a network reads.
+
+    Also what was found.
+    """
+    centres = np.asarray(model.eye_centres(fitted.identity), dtype=np.float64)
     radius = model.skin_points(table.vertices[:1]).radius
+    rows = _lid_rows(table, photographs[0].landmarks.dense)
     better = []
-    for item, photograph, picture in zip(observed, photographs, coarse.pictures, strict=True):
-        mesh = _shape_mesh(model, coarse.identity, picture)
-        args = photograph.pixels, photograph.landmarks, picture.camera, centres, radius, mesh
-        better.append(item.with_irises(find_irises(*args)))
-    if all(item.irises is None for item in better):
-        return coarse
-    return fit_shape(model, better, table, coarse, identity, one_camera)
+    for item, photograph, picture in zip(observed, photographs, fitted.pictures, strict=True):
+        mesh = _shape_mesh(model, fitted.identity, picture)
+        eyes = find_eyes(photograph.pixels, photograph.landmarks, picture.camera, centres, radius, mesh)
+        lids = [picture.projected[list(some)].mean(axis=0) if some else np.full(2, np.nan) for some in rows]
+        closed = max(openness(photograph.landmarks)) < CLOSED
+        gaze = None if closed else seen_gaze(photograph.pixels, picture.camera, mesh)
+        better.append(item.with_eyes(eyes.irises, SeenOpenings(rows, np.stack(lids) + eyes.moves), gaze))
+    return fit_shape(model, better, table, fitted, identity, one_camera), better
+
+
+def _lid_rows(table: LandmarkTable, dense: bool) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Numbers of the table's landmarks about the openings of the left and right eye; none where some are missing."""
+    row = {int(number): i for i, number in enumerate(table.landmarks[: len(table.vertices)])}
+    left, right = (
+        tuple(row[number] for number in some) if row.keys() >= set(some) else () for some in lid_landmarks(dense)
+    )
+    return left, right
 
 
 def _shape_mesh(model: HeadModel, identity: np.ndarray, picture: PictureFit) -> HeadMesh:
@@ -210,29 +230,29 @@ def _seen(model: HeadModel, photograph: Photograph, shape: ShapeFit, number: int
 
 def _fitted(
     model: HeadModel, photograph: Photograph, pictures: tuple[PictureFit, PictureFit], identity: np.ndarray, seen: Seen,
-    looks: tuple[np.ndarray, np.ndarray], table: LandmarkTable,
+    looks: tuple[np.ndarray, np.ndarray], table: LandmarkTable, found: Observed,
 ) -> FittedPhotograph:  # fmt: skip
     coarse, picture = pictures
     codes = Codes(identity, picture.expression, *looks)
     seen = replace(seen, mesh=model.mesh(codes, picture.gaze))
     with Rasterizer((seen.camera.width, seen.camera.height), 2) as rasterizer:
         raster = rasterizer.render_lit(seen.mesh, codes.illumination, seen.camera)
-    marks, irises = photograph.landmarks.points[table.landmarks], coarse is not picture
+    marks = photograph.landmarks.points[table.landmarks]
     projected = picture.projected[: len(table.vertices)]
     to_seen = np.array([seen.camera.fx / picture.camera.fx, seen.camera.fy / picture.camera.fy])
     shift = np.array([seen.camera.cx, seen.camera.cy]) - to_seen * [picture.camera.cx, picture.camera.cy]
-    residuals = measured(photograph, coarse, picture, irises) | {"face_psnr_db": face_psnr(seen, raster.image)}
+    residuals = measured(photograph, coarse, picture, found) | {"face_psnr_db": face_psnr(seen, raster.image)}
     provenance = {"made_by": FITTED, "photograph": photograph.name, "head_model": model.name, "trained": False,
                   "fine_tuned": False, **told_outlines(photograph.landmarks)}  # fmt: skip
     subject = Subject(Path(photograph.name).stem, codes, codes, picture.camera, picture.gaze, provenance)
     detected = marks[: len(table.vertices)]
     return FittedPhotograph(
         subject, seen, raster.image, projected * to_seen + shift, detected * to_seen + shift, residuals,
-        doubts(photograph, irises),
+        doubts(photograph, found.irises is not None),
     )  # fmt: skip
 
 
-def measured(photograph: Photograph, coarse: PictureFit, picture: PictureFit, irises: bool) -> dict[str, Any]:
+def measured(photograph: Photograph, coarse: PictureFit, picture: PictureFit, found: Observed) -> dict[str, Any]:
     """What the fit leaves, in pixels, millimetres at the eyes, and percent of the distance between the eyes."""
     interocular = photograph.landmarks.interocular
 
@@ -252,7 +272,10 @@ def measured(photograph: Photograph, coarse: PictureFit, picture: PictureFit, ir
         "landmarks_less_expected_misses": lengths(picture.unexplained_px),
         "gaze_degrees": list(picture.gaze.degrees),
         "gaze_by_landmarks_degrees": list(coarse.gaze.degrees),
-        "irises": "pixels" if irises else "landmarks",
+        "gaze_by_network_degrees": None
+        if found.gaze is None
+        else np.rad2deg([found.gaze.pitch, found.gaze.yaw]).tolist(),
+        "irises": "landmarks" if found.irises is None else "pixels",
         "camera_about_head_degrees": [float(pitch), float(yaw)],
         "distance_m": float(np.linalg.norm(position)) * 0.1,
         "focal_px": picture.camera.fx,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 
@@ -12,14 +14,14 @@ from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, HeadMesh
 from gazenerf.photographs.eyeball import Eyeball
 from gazenerf.photographs.landmarks import FaceLandmarks
 from gazenerf.photographs.lid_motion import shown_part
-from gazenerf.photographs.openings import eye_opening
+from gazenerf.photographs.openings import eye_opening, seen_opening
 from gazenerf.photographs.picture_terms import MM_PER_UNIT, IrisPoints
 
 LIDS_LEFT = (263, 466, 388, 387, 386, 385, 384, 398, 362, 382, 381, 380, 374, 373, 390, 249)
 LIDS_RIGHT = (33, 246, 161, 160, 159, 158, 157, 173, 133, 155, 154, 153, 145, 144, 163, 7)
 """MediaPipe's outlines of the openings of the subject's left and right eye."""
 
-STANDARD_LIDS = (tuple(range(42, 48)), tuple(range(36, 42)))
+STANDARD_LIDS = (42, 43, 44, 45, 46, 47), (36, 37, 38, 39, 40, 41)
 
 SPREAD_MM = 0.5
 """Standard deviation of an iris found in pixels, on each axis."""
@@ -34,9 +36,14 @@ CLOSED = 0.12
 """An eye whose opening is less high than this share of its width counts as closed; open ones have 0.25 to 0.4."""
 
 
+def lid_landmarks(dense: bool) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Numbers of the landmarks around the openings of the left and right eye, of 478 or of 68."""
+    return (LIDS_LEFT, LIDS_RIGHT) if dense else STANDARD_LIDS
+
+
 def lids(landmarks: FaceLandmarks) -> tuple[np.ndarray, np.ndarray]:
     """Outlines (N, 2) of the openings of the subject's left and right eye, pixels."""
-    left, right = (LIDS_LEFT, LIDS_RIGHT) if landmarks.dense else STANDARD_LIDS
+    left, right = lid_landmarks(landmarks.dense)
     return landmarks.points[list(left)], landmarks.points[list(right)]
 
 
@@ -47,6 +54,20 @@ def openness(landmarks: FaceLandmarks) -> tuple[float, float]:
     return float(left[1] / max(left[0], 1e-9)), float(right[1] / max(right[0], 1e-9))
 
 
+@dataclass(frozen=True)
+class SeenEyes:
+    """What the pixels tell of two eyes, the subject's left first.
+
+    Attributes:
+        irises: None where neither eye shows one.
+        moves: (2, 2) pixels from the centre of the fitted opening to that of the one that is seen; NaN where the pixels
+            do not tell.
+    """
+
+    irises: IrisPoints | None
+    moves: np.ndarray
+
+
 def find_irises(
     image: np.ndarray,
     landmarks: FaceLandmarks,
@@ -55,7 +76,19 @@ def find_irises(
     radius: float,
     mesh: HeadMesh | None = None,
 ) -> IrisPoints | None:
-    """The irises of a photograph, each searched inside its lids as a dark disc on the fitted eyeball.
+    """The irises of a photograph; see `find_eyes`."""
+    return find_eyes(image, landmarks, camera, centres, radius, mesh).irises
+
+
+def find_eyes(
+    image: np.ndarray,
+    landmarks: FaceLandmarks,
+    camera: Camera,
+    centres: np.ndarray,
+    radius: float,
+    mesh: HeadMesh | None = None,
+) -> SeenEyes:
+    """The openings of the eyes in a photograph, and the irises in them, dark discs on the fitted eyeballs.
 
     Args:
         image: (H, W, 3) uint8 sRGB.
@@ -64,15 +97,12 @@ def find_irises(
         centres: (2, 3) of the eyeballs, the subject's left first, world units.
         radius: Of the eyeballs, world units.
         mesh: The fitted head, with which the openings are found in the pixels; the landmarks' outlines count without.
-
-    Returns:
-        None where neither eye shows one.
     """
     outlines = lids(landmarks)
     window, view = _window(image, np.concatenate(outlines), camera, landmarks.interocular)
     scale = np.array([view.fx / camera.fx, view.fy / camera.fy])
     corner = np.array([camera.cx, camera.cy]) - np.array([view.cx, view.cy]) / scale
-    found = np.full((2, 2), np.nan)
+    found, moves = np.full((2, 2), np.nan), np.full((2, 2), np.nan)
     for eye, outline in enumerate(outlines):
         if openness(landmarks)[eye] < CLOSED:
             continue
@@ -81,8 +111,11 @@ def find_irises(
         cv2.fillPoly(mask, [inside], 1, lineType=cv2.LINE_8, shift=4)
         opening = mask > 0
         if mesh is not None:
-            shown = shown_part(mesh, view, (EYE_LEFT, EYE_RIGHT)[eye])
-            opening = eye_opening(window, shown, opening, landmarks.interocular * scale[0]) > 0.5
+            shown, unit = shown_part(mesh, view, (EYE_LEFT, EYE_RIGHT)[eye]), landmarks.interocular * scale[0]
+            by_pixels = seen_opening(window, shown, opening, unit)
+            opening = (eye_opening(window, shown, opening, unit) if by_pixels is None else by_pixels) > 0.5
+            if by_pixels is not None and shown.any() and opening.any():
+                moves[eye] = (_centre(opening) - _centre(shown)) / scale
         fit = fit_iris(window / 255.0, opening, view, centres[eye], radius)
         if fit is not None:
             found[eye] = camera.project(centres[eye] + np.cos(IRIS_ANGLE) * radius * fit.direction)[0]
@@ -90,7 +123,13 @@ def find_irises(
         _, z = camera.project(centres)
         away = np.linalg.norm(found - landmarks.irises, axis=1) * z / camera.fx * MM_PER_UNIT
         found[away > AWAY_MM] = np.nan
-    return IrisPoints(found, SPREAD_MM, float(np.cos(IRIS_ANGLE))) if np.isfinite(found).any() else None
+    irises = IrisPoints(found, SPREAD_MM, float(np.cos(IRIS_ANGLE))) if np.isfinite(found).any() else None
+    return SeenEyes(irises, moves)
+
+
+def _centre(mask: np.ndarray) -> np.ndarray:
+    """(2,) mean pixel of a mask."""
+    return np.argwhere(mask)[:, ::-1].mean(axis=0)
 
 
 def _window(image: np.ndarray, points: np.ndarray, camera: Camera, interocular: float) -> tuple[np.ndarray, Camera]:

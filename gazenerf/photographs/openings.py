@@ -34,6 +34,12 @@ def eye_opening(image: np.ndarray, fitted: np.ndarray, outline: np.ndarray | Non
     Returns:
         (H, W) float32 share of each pixel between the lids; `outline`, or else `fitted`, where the pixels do not tell.
     """
+    found = seen_opening(image, fitted, outline, unit)
+    return _soft(fitted if outline is None else outline, unit) if found is None else found
+
+
+def seen_opening(image: np.ndarray, fitted: np.ndarray, outline: np.ndarray | None, unit: float) -> np.ndarray | None:
+    """`eye_opening`, but None where the pixels do not tell."""
     height, width = fitted.shape
     factor = min(1.0, WORKING_UNIT / unit)
     size = max(8, round(width * factor)), max(8, round(height * factor))
@@ -41,17 +47,25 @@ def eye_opening(image: np.ndarray, fitted: np.ndarray, outline: np.ndarray | Non
     small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
     masks = [cv2.resize(m.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) for m in (fitted, outline)]
     found = _by_pixels(small, masks[0], masks[1], unit * factor)
-    soft = cv2.GaussianBlur(found.astype(np.float32), (0, 0), max(0.5, EDGE * unit * factor))
-    return cv2.resize(soft, (width, height), interpolation=cv2.INTER_LINEAR)
+    return (
+        None
+        if found is None
+        else cv2.resize(_soft(found, unit * factor), (width, height), interpolation=cv2.INTER_LINEAR)
+    )
 
 
-def _by_pixels(image: np.ndarray, fitted: np.ndarray, outline: np.ndarray, unit: float) -> np.ndarray:
+def _soft(opening: np.ndarray, unit: float) -> np.ndarray:
+    """(H, W) float32 of an opening (H, W), with a soft edge."""
+    return cv2.GaussianBlur(opening.astype(np.float32), (0, 0), max(0.5, EDGE * unit))
+
+
+def _by_pixels(image: np.ndarray, fitted: np.ndarray, outline: np.ndarray, unit: float) -> np.ndarray | None:
     reach = max(1, round(MARGIN * unit))
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
     both, either = np.minimum(fitted, outline), np.maximum(fitted, outline)
     certain, possible = cv2.erode(both, kernel), cv2.dilate(either, kernel)
     if not certain.any() or possible.all():
-        return outline
+        return None
     labels = np.where(outline > 0, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
     labels[possible == 0], labels[certain > 0] = cv2.GC_BGD, cv2.GC_FGD
     cv2.setRNGSeed(0)
@@ -65,7 +79,7 @@ def _by_pixels(image: np.ndarray, fitted: np.ndarray, outline: np.ndarray, unit:
         sizes = np.bincount(np.asarray(parts).ravel())
         found = (np.asarray(parts) == 1 + sizes[1:].argmax()).astype(np.uint8)
     if not AREAS[0] * both.sum() <= found.sum() <= AREAS[1] * either.sum():
-        return outline
+        return None
     shapes = [found, *(_moved_onto(shape, found) for shape in (fitted, outline))]
     return np.asarray(np.sum(shapes, axis=0) >= 2, np.uint8)
 

@@ -20,6 +20,12 @@ DISTANCE_M, DISTANCE_DEVIATION = 1.1, 0.35
 ROBUST = 3.0
 """Landmark residuals grow linearly from this many deviations on."""
 
+OPENING_MM = 0.35
+"""Standard deviation, on each axis, of the middle of an opening found in pixels."""
+
+ROBUST_GAZE = 2.0
+"""The same of a gaze that a network reads: now and then it is far off."""
+
 MM_PER_UNIT = 1000.0 * METRES_PER_UNIT
 
 UNITS_AHEAD = 2.0
@@ -42,6 +48,33 @@ class IrisPoints:
 
 
 @dataclass(frozen=True)
+class SeenOpenings:
+    """Where the openings of the eyes are by the pixels, told as the middles of the lids' fitted vertices.
+
+    Attributes:
+        rows: For the left and the right eye, the numbers of the table's landmarks about its opening.
+        middles: (2, 2) where their vertices' mean is to be seen, pixels; NaN where the pixels do not tell.
+    """
+
+    rows: tuple[tuple[int, ...], tuple[int, ...]]
+    middles: np.ndarray
+
+
+@dataclass(frozen=True)
+class SeenGaze:
+    """The gaze as a network reads it from the look of eyes and face, whatever their geometry.
+
+    Attributes:
+        pitch, yaw: Radians, head frame.
+        deviations: (2,) of pitch and yaw, radians.
+    """
+
+    pitch: float
+    yaw: float
+    deviations: tuple[float, float]
+
+
+@dataclass(frozen=True)
 class Observed:
     """What is fitted in one picture.
 
@@ -51,6 +84,8 @@ class Observed:
         irises: Found otherwise than by the landmark detector; None where they were not.
         focal: Pixels, where it is known.
         teeth_shut: Teeth fill what the lips leave open, so the jaw is shut.
+        openings: Of the eyes; None where nobody looked.
+        gaze: As a network reads it; None where nobody asked one.
     """
 
     landmarks: FaceLandmarks
@@ -58,10 +93,12 @@ class Observed:
     irises: IrisPoints | None = None
     focal: float | None = None
     teeth_shut: bool = False
+    openings: SeenOpenings | None = None
+    gaze: SeenGaze | None = None
 
-    def with_irises(self, irises: IrisPoints | None) -> Observed:
-        """The same picture with other irises."""
-        return replace(self, irises=irises)
+    def with_eyes(self, irises: IrisPoints | None, openings: SeenOpenings | None, gaze: SeenGaze | None) -> Observed:
+        """The same picture with what its eyes tell."""
+        return replace(self, irises=irises, openings=openings, gaze=gaze)
 
 
 @dataclass(frozen=True)
@@ -171,6 +208,25 @@ class PictureTerms:
         places = self.project(picture, centres + self._eye_radius * irises.reach * direction)[seen]
         miss = (double(irises.pixels[seen]) - places) / self.pixels_per_mm
         return (miss / irises.spread_mm).square().sum()
+
+    def openings_cost(self, picture: PictureParameters, points: torch.Tensor) -> torch.Tensor:
+        """Squares of how far the middles of the lids lie from the openings that are seen, over their deviation."""
+        openings, total = self.observed.openings, torch.zeros((), dtype=torch.float64)
+        if openings is None:
+            return total
+        for rows, middle in zip(openings.rows, openings.middles, strict=True):
+            if rows and np.isfinite(middle).all():
+                miss = self.project(picture, points[list(rows)]).mean(dim=0) - double(middle)
+                total = total + (miss / self.pixels_per_mm / OPENING_MM).square().sum()
+        return total
+
+    def gaze_cost(self, picture: PictureParameters) -> torch.Tensor:
+        """Robust square of how far the gaze is from what a network reads, in units of the reading's deviations."""
+        seen = self.observed.gaze
+        if seen is None:
+            return torch.zeros((), dtype=torch.float64)
+        miss = (picture.gaze - double(np.array([seen.pitch, seen.yaw]))) / double(np.array(seen.deviations))
+        return 2.0 * ROBUST_GAZE**2 * ((1.0 + miss.square().sum() / ROBUST_GAZE**2).sqrt() - 1.0)
 
     def distance_cost(self, picture: PictureParameters) -> torch.Tensor:
         """Squares of the distance's and, where it is known, the focal length's deviation from what is expected."""

@@ -5,7 +5,8 @@ Each picture has a camera, a gaze and an expression of its own; all share one id
 - robust (pseudo-Huber) landmark residuals in millimetres, in units of each landmark's noise, less the mean miss
   that the table tells for this pose, gaze and identity, and a combination of its error components, whose amounts are
   fitted with unit variance (docs/photos.md);
-- residuals of irises that were found in the pixels;
+- residuals of irises and of openings of the eyes that were found in the pixels;
+- how far the gaze is from what a network reads off the picture, robust as well;
 - squares of identity, expression, gaze and the logarithm of the distance, in units of their prior's deviation;
 - where one camera took all pictures, squares of how far their focal lengths lie apart.
 
@@ -159,7 +160,8 @@ class _Problem:
             centres, points = self.points.eye_centres(identity), self.marks(identity, picture)
             total = total + terms.landmark_cost(picture, points, identity) + terms.iris_cost(picture, centres)
             total = total + (picture.expression / seen).square().sum() + picture.errors.square().sum()
-            total = total + (picture.gaze / double(GAZE_DEVIATION)).square().sum() + terms.distance_cost(picture)
+            total = total + (picture.gaze / double(GAZE_DEVIATION)).square().sum() + terms.gaze_cost(picture)
+            total = total + terms.distance_cost(picture) + terms.openings_cost(picture, points)
         if self.one_camera:
             focal = torch.stack([t.transform(p)[2] for t, p in zip(self.terms, pictures, strict=True)]).log()
             total = total + ((focal - focal.mean()) / ONE_FOCAL_DEVIATION).square().sum()

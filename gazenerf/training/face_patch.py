@@ -59,8 +59,18 @@ def face_patch(picture: np.ndarray, camera: Camera, level: bool = True) -> np.nd
         camera: Of the picture.
         level: See `patch_camera`.
     """
-    patch = patch_camera(camera, level)
-    turn = patch.world_from_camera[:3, :3].T @ camera.world_from_camera[:3, :3]
+    return seen_by(picture, camera, patch_camera(camera, level))
+
+
+def seen_by(picture: np.ndarray, camera: Camera, turned: Camera) -> np.ndarray:
+    """(H', W', 3) what another camera at the same place sees of a picture (H, W, 3); black beyond it.
+
+    Args:
+        picture: uint8, or float32.
+        camera: That took it.
+        turned: The other one, whose pixels should not be much larger than the picture's.
+    """
+    turn = turned.world_from_camera[:3, :3].T @ camera.world_from_camera[:3, :3]
     half = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
-    move = np.linalg.inv(half) @ patch.intrinsics @ turn @ np.linalg.inv(camera.intrinsics) @ half
-    return cv2.warpPerspective(picture, move, (SIDE, SIDE), flags=cv2.INTER_LINEAR)
+    move = np.linalg.inv(half) @ turned.intrinsics @ turn @ np.linalg.inv(camera.intrinsics) @ half
+    return cv2.warpPerspective(picture, move, (turned.width, turned.height), flags=cv2.INTER_LINEAR)
