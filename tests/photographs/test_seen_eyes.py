@@ -25,7 +25,7 @@ def few_steps(monkeypatch):
 
 
 def test_the_way_from_a_fit_beside_the_eyes_to_the_eyes_is_found(rendered, landmarks):
-    """The true head drawn a little beside where it is: what is found leads back, from the landmarks' own places it cannot."""
+    """The true head drawn a little beside where it is: what is found leads back."""
     told = []
     for item, marks in zip(rendered, landmarks, strict=True):
         _, z = item.camera.project(item.mesh.eye_centres)
