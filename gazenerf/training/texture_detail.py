@@ -17,17 +17,20 @@ from scipy import ndimage
 from gazenerf.checkpoints import field_from_weights
 from gazenerf.data.surface_points import template_of
 from gazenerf.errors import UserError
-from gazenerf.field.detail import EXTENT
+from gazenerf.field.detail import EXTENT, detail_coordinates
 from gazenerf.field.model import TwoStreamField
 from gazenerf.head_model import load_head_model
-from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, FACE
+from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, FACE, HeadMesh
 from gazenerf.head_model.model import ParametricHead
 from gazenerf.head_model.ray_scenes import ray_scene, tensor
 from gazenerf.head_model.sampling import sample_person
 from gazenerf.training.distances import template_jaw
 
-FADING, BESIDE_EYES = 12.0, 1.0
-"""Degrees over which detail fades at the border of what it covers, and beside the openings of the eyes."""
+FADING, BESIDE = 12.0, 1.0
+"""Degrees over which detail fades at the border of what it covers, and beside the openings of eyes and mouth."""
+
+INNER_LIPS = range(60, 68)
+"""Standard landmarks around the opening of the mouth."""
 
 FAR = 4.0
 """World units from which rays are cast: outside the head."""
@@ -72,7 +75,7 @@ def learn_texture_detail(field: TwoStreamField, options: DetailOptions | None = 
     rngs = (np.random.default_rng((options.seed, number)) for number in range(options.people))
     codes = np.stack([[1.0, *sample_person(rng, model).texture] for rng in rngs])
     varying = np.sqrt(np.mean(np.square(codes), axis=0)).clip(min=1e-3)
-    share = skin.share(FADING, BESIDE_EYES)
+    share = skin.share(FADING, BESIDE)
     return with_texture_detail(without_detail(field), skin.albedo(), share, varying, options.rank)
 
 
@@ -101,12 +104,23 @@ class TemplateSkin:
         seen, hit = _not_in_a_gap(away.reshape(size)), np.isfinite(away)
         self._corners = skin[np.where(hit, met, 0)][seen]
         self._weights = (np.column_stack([1.0 - weights.sum(1), weights]) * hit[:, None])[seen]
-        self._eyes = (first == 1).reshape(size)
+        self._openings = (first == 1).reshape(size)
+        if jaw > 0.0:
+            self._openings |= self._between_lips(template)
 
     def _angles(self) -> tuple[np.ndarray, np.ndarray]:
         """Degrees of elevation of the rows and of azimuth of the columns."""
         rows, columns = ((np.arange(count) + 0.5) * 2.0 / count - 1.0 for count in self.size)
         return rows * EXTENT[1], columns * EXTENT[0]
+
+    def _between_lips(self, template: HeadMesh) -> np.ndarray:
+        """(H, W) bool, directions between the lips of the template, in which a closed mouth has no places."""
+        lips = torch.from_numpy(np.stack([template.landmarks[str(number)] for number in INNER_LIPS]).astype(np.float32))
+        rows, columns = self.size
+        corners = (0.5 * (detail_coordinates(lips).numpy() + 1.0) * [columns, rows] - 0.5).round().astype(np.int32)
+        inside = np.zeros(self.size, np.uint8)
+        cv2.fillPoly(inside, [corners], 1, lineType=cv2.LINE_8)
+        return inside > 0
 
     def albedo(self) -> np.ndarray:
         """(3, 1 + T, H, W) float32 linear RGB of the mean head and added per unit of each texture code; 0 beside it."""
@@ -116,13 +130,13 @@ class TemplateSkin:
         each = [np.einsum("nkc,nk->cn", values[corners], self._weights) for values in (known.mean, *known.basis)]
         return np.stack(each, axis=1).reshape(3, -1, *self.size).astype(np.float32)
 
-    def share(self, border: float, eyes: float) -> np.ndarray:
-        """(H, W) in [0, 1]: 1 on the skin, falling to 0 within some degrees of the border and of the eyes' openings."""
+    def share(self, border: float, beside: float) -> np.ndarray:
+        """(H, W) in [0, 1]: 1 on the skin, falling to 0 within some degrees of the border and of the openings."""
         rows, columns = (np.clip((extent - np.abs(angles)) / border, 0.0, 1.0)
                          for angles, extent in zip(self._angles(), EXTENT[::-1], strict=True))  # fmt: skip
-        away = cv2.distanceTransform((~self._eyes).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        away = cv2.distanceTransform((~self._openings).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
         degrees = away * 2.0 * EXTENT[0] / self.size[1]
-        return np.outer(rows, columns) * np.clip(degrees / eyes - 0.5, 0.0, 1.0)
+        return np.outer(rows, columns) * np.clip(degrees / beside - 0.5, 0.0, 1.0)
 
 
 def _not_in_a_gap(away: np.ndarray) -> np.ndarray:

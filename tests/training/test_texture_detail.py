@@ -136,3 +136,15 @@ def test_impossible_sizes_and_other_fields_are_refused() -> None:
         FieldConfig(detail=(3, -1, 4))
     with pytest.raises(UserError, match="needs features_at template"):
         learn_texture_detail(load_field("small"))
+
+
+def test_nothing_is_painted_between_lips_that_are_open_on_the_template() -> None:
+    """A closed mouth has no places there, and an open one shows teeth, whose colours these are not."""
+    cells = DetailOptions().size
+    shut, opened = (TemplateSkin(load_head_model(), cells, jaw).share(12.0, 1.0) for jaw in (0.0, 0.25))
+    mouth = np.s_[cells[0] // 6 : 3 * cells[0] // 10, 4 * cells[1] // 10 : 6 * cells[1] // 10]
+    assert (shut[mouth] == 0.0).sum() == 0
+    assert 50 < (opened[mouth] == 0.0).sum() < 0.5 * opened[mouth].size
+    elsewhere = np.ones(cells, bool)
+    elsewhere[: 3 * cells[0] // 10] = False
+    np.testing.assert_allclose(opened[elsewhere], shut[elsewhere], atol=0.2)
