@@ -20,6 +20,12 @@ LONG = (
     "test_fabric_run_trains_on_two_machines_that_are_one",
     "test_ctrl_c_ends_every_process_without_a_trace[2.5]",
     "test_a_bake_in_half_precision_is_close_on_the_bundled_field",
+    "test_half_precision_is_close_on_the_bundled_field",
+    "test_everybody_is_fitted_as_one_by_one_and_a_failure_is_listed",
+    "test_two_sizes_and_two_seeds_agree_within_the_error_bars",
+    "test_a_fit_that_was_stopped_goes_on_and_leaves_no_state",
+    "test_all_parts_run_on_a_cpu_and_agree_with_themselves",
+    "test_a_process_that_dies_is_one_line_and_the_set_goes_on",
 )
 
 

@@ -55,7 +55,9 @@ def test_other_people_are_numbered_on(toy_captures, tmp_path, join):
     assert join(base, others, tmp_path / "all", {0}, others=True) == 3
     manifest = read_manifest(tmp_path / "all")
     assert CaptureSet(tmp_path / "all").people == [1, 2, 3]
-    assert manifest["people"] == 4 and manifest["other_people"] == [{"people": 2, "views": 2, "seed": 2}]
+    assert manifest["people"] == 4 and manifest["other_people"] == [
+        {"people": 2, "views": 2, "seed": 2, "expressions": "few"}
+    ]
     with pytest.raises(UserError, match="show the same people"):
         join(base, base, tmp_path / "twice", set(), others=True)
 
