@@ -14,7 +14,7 @@ from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, HeadMesh
 from gazenerf.photographs.eyeball import Eyeball
 from gazenerf.photographs.landmarks import FaceLandmarks
 from gazenerf.photographs.lid_motion import shown_part
-from gazenerf.photographs.openings import eye_opening, seen_opening
+from gazenerf.photographs.openings import seen_opening, soft_opening
 from gazenerf.photographs.picture_terms import MM_PER_UNIT, IrisPoints
 
 LIDS_LEFT = (263, 466, 388, 387, 386, 385, 384, 398, 362, 382, 381, 380, 374, 373, 390, 249)
@@ -68,18 +68,6 @@ class SeenEyes:
     moves: np.ndarray
 
 
-def find_irises(
-    image: np.ndarray,
-    landmarks: FaceLandmarks,
-    camera: Camera,
-    centres: np.ndarray,
-    radius: float,
-    mesh: HeadMesh | None = None,
-) -> IrisPoints | None:
-    """The irises of a photograph; see `find_eyes`."""
-    return find_eyes(image, landmarks, camera, centres, radius, mesh).irises
-
-
 def find_eyes(
     image: np.ndarray,
     landmarks: FaceLandmarks,
@@ -113,7 +101,7 @@ def find_eyes(
         if mesh is not None:
             shown, unit = shown_part(mesh, view, (EYE_LEFT, EYE_RIGHT)[eye]), landmarks.interocular * scale[0]
             by_pixels = seen_opening(window, shown, opening, unit)
-            opening = (eye_opening(window, shown, opening, unit) if by_pixels is None else by_pixels) > 0.5
+            opening = (soft_opening(opening, unit) if by_pixels is None else by_pixels) > 0.5
             if by_pixels is not None and shown.any() and opening.any():
                 moves[eye] = (_centre(opening) - _centre(shown)) / scale
         fit = fit_iris(window / 255.0, opening, view, centres[eye], radius)

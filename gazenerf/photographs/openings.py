@@ -35,7 +35,7 @@ def eye_opening(image: np.ndarray, fitted: np.ndarray, outline: np.ndarray | Non
         (H, W) float32 share of each pixel between the lids; `outline`, or else `fitted`, where the pixels do not tell.
     """
     found = seen_opening(image, fitted, outline, unit)
-    return _soft(fitted if outline is None else outline, unit) if found is None else found
+    return soft_opening(fitted if outline is None else outline, unit) if found is None else found
 
 
 def seen_opening(image: np.ndarray, fitted: np.ndarray, outline: np.ndarray | None, unit: float) -> np.ndarray | None:
@@ -50,11 +50,11 @@ def seen_opening(image: np.ndarray, fitted: np.ndarray, outline: np.ndarray | No
     return (
         None
         if found is None
-        else cv2.resize(_soft(found, unit * factor), (width, height), interpolation=cv2.INTER_LINEAR)
+        else cv2.resize(soft_opening(found, unit * factor), (width, height), interpolation=cv2.INTER_LINEAR)
     )
 
 
-def _soft(opening: np.ndarray, unit: float) -> np.ndarray:
+def soft_opening(opening: np.ndarray, unit: float) -> np.ndarray:
     """(H, W) float32 of an opening (H, W), with a soft edge."""
     return cv2.GaussianBlur(opening.astype(np.float32), (0, 0), max(0.5, EDGE * unit))
 

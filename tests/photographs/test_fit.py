@@ -9,7 +9,7 @@ from benchmarks.fit import aligned, angle, surface_errors
 from gazenerf.errors import UserError
 from gazenerf.photographs.correspondence import table_for
 from gazenerf.photographs.fit import Photograph, fit_photographs, refuse_profile
-from gazenerf.photographs.irises import find_irises, openness
+from gazenerf.photographs.irises import find_eyes, openness
 from gazenerf.photographs.landmarks import FaceLandmarks
 from gazenerf.photographs.overlay import overlay
 from gazenerf.photographs.picture_terms import Observed
@@ -89,7 +89,7 @@ def test_irises_are_found_in_pixels_on_true_eyeballs(rendered, landmarks):
     errors = []
     for item, marks in zip(rendered, landmarks, strict=True):
         mesh = item.mesh
-        found = find_irises(item.image, marks, item.camera, mesh.eye_centres, mesh.eye_radius)
+        found = find_eyes(item.image, marks, item.camera, mesh.eye_centres, mesh.eye_radius).irises
         if found is None:
             continue
         places = mesh.eye_centres + found.reach * mesh.eye_radius * item.gaze.vector()

@@ -13,7 +13,7 @@ from gazenerf.photographs.clips.person import Person
 from gazenerf.photographs.correspondence import LandmarkTable
 from gazenerf.photographs.eyeball import Eyeball
 from gazenerf.photographs.fit import refuse_profile
-from gazenerf.photographs.irises import find_irises
+from gazenerf.photographs.irises import find_eyes
 from gazenerf.photographs.landmarks import FaceLandmarks
 from gazenerf.photographs.picture_terms import Observed
 from gazenerf.photographs.shape_fit import ShapeFit, fit_shape
@@ -111,7 +111,7 @@ class FrameFitter:
     def _irises(self, frame: np.ndarray, landmarks: FaceLandmarks, camera: Camera, codes: Codes, gaze: Gaze):
         mesh = self._model.mesh(codes, gaze)
         centres = np.stack([eye.centre for eye in self._eyes])
-        return find_irises(frame, landmarks, camera, centres, mesh.eye_radius, mesh)
+        return find_eyes(frame, landmarks, camera, centres, mesh.eye_radius, mesh).irises
 
     def _gaze(self, irises: np.ndarray, camera: Camera, reach: float, otherwise: Gaze) -> Gaze:
         """The mean direction of the eyes whose irises are seen."""
