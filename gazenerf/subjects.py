@@ -32,6 +32,13 @@ KIND = TensorFileKind(
 )
 
 
+CODES = ("identity", "expression", "texture", "illumination")
+"""Names of the four latent codes, in order."""
+
+HAIR = "hair"
+"""Name of the head model's own code, which fields do not have."""
+
+
 @dataclass(frozen=True)
 class Codes:
     """The paper's four latent codes (Sec. 3.2), each a float32 vector.
@@ -42,15 +49,17 @@ class Codes:
         texture: Albedo code.
         illumination: 27 spherical-harmonic coefficients, 9 per band order times RGB: entry 3k + c
             is coefficient k of channel c.
+        hair: The head model's hair codes (`hair_names`), which the paper does not have; empty means no hair.
     """
 
     identity: np.ndarray
     expression: np.ndarray
     texture: np.ndarray
     illumination: np.ndarray
+    hair: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
 
     def __post_init__(self) -> None:
-        for name in ("identity", "expression", "texture", "illumination"):
+        for name in (*CODES, HAIR):
             value = np.ascontiguousarray(getattr(self, name), dtype=np.float32).reshape(-1)
             if not np.isfinite(value).all():
                 raise ValueError(f"the {name} code holds NaN or infinite values")
@@ -58,7 +67,7 @@ class Codes:
 
     @property
     def sizes(self) -> tuple[int, int, int, int]:
-        """(identity, expression, texture, illumination)."""
+        """(identity, expression, texture, illumination), without hair."""
         return self.identity.size, self.expression.size, self.texture.size, self.illumination.size
 
     @property
@@ -123,9 +132,9 @@ class Subject:
 
     def save(self, path: str | Path) -> None:
         """Write one safetensors file with JSON metadata."""
-        tensors = {f"codes.{name}": getattr(self.codes, name) for name in CODES}
+        tensors = _tensors("codes", self.codes)
         if self.head_codes is not None:
-            tensors |= {f"head.{name}": getattr(self.head_codes, name) for name in CODES}
+            tensors |= _tensors("head", self.head_codes)
         if self.personal is not None:
             tensors |= self.personal.tensors()
         about = {
@@ -150,16 +159,23 @@ class Subject:
         with open_tensors(path, KIND) as (file, metadata):
             keys = set(file.keys())
             about = parse_json(metadata["subject"])
-            codes = Codes(*(file.get_tensor(f"codes.{name}") for name in CODES))
-            head = Codes(*(file.get_tensor(f"head.{name}") for name in CODES)) if "head.identity" in keys else None
+            read = {name: file.get_tensor(name) for name in keys if name.startswith(("codes.", "head."))}
+            codes, head = _codes("codes", read), _codes("head", read) if "head.identity" in keys else None
             camera = None if about["camera"] is None else Camera.from_dict(about["camera"])
             pitch, yaw = (float(angle) for angle in about["gaze"])
             personal = read_personal(file, about.get("personal_field"))
             return cls(str(about["name"]), codes, head, camera, Gaze(pitch, yaw), dict(about["provenance"]), personal)
 
 
-CODES = ("identity", "expression", "texture", "illumination")
-"""Names of the four latent codes, in order."""
+def _tensors(owner: str, codes: Codes) -> dict[str, np.ndarray]:
+    """Codes as a subject file names them; a hair code only where there is one."""
+    names = (*CODES, HAIR) if codes.hair.size else CODES
+    return {f"{owner}.{name}": getattr(codes, name) for name in names}
+
+
+def _codes(owner: str, tensors: dict[str, np.ndarray]) -> Codes:
+    hair = tensors.get(f"{owner}.{HAIR}", np.zeros(0, np.float32))
+    return Codes(*(tensors[f"{owner}.{name}"] for name in CODES), hair=hair)
 
 
 def bundled_subjects() -> dict[str, Path]:

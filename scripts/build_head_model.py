@@ -205,6 +205,7 @@ def build(count: int, seed: int) -> dict[str, np.ndarray]:
         fine = push_out(fine, new, 1.06 * EYE_RADIUS)
     faces = triangles(fine_quads)
     from head_appearance import find_landmarks, occlusion_of, paint  # beside this script
+    from head_hair import place_hair
     from head_landmarks import place_landmarks
     from head_mouth import place_mouth
 
@@ -235,8 +236,9 @@ def build(count: int, seed: int) -> dict[str, np.ndarray]:
         "variance_kept": np.float32(kept_share),
     }
     arrays |= place_mouth(arrays, samples, all_actions, used)
-    # the brows are painted along the first marks, so these are replaced last
-    return {**arrays, "landmarks": place_landmarks(arrays).astype(np.int32)}
+    # the brows are painted along the first marks, so these are replaced late
+    arrays["landmarks"] = place_landmarks(arrays).astype(np.int32)
+    return arrays | place_hair(arrays)
 
 
 def main() -> None:

@@ -7,7 +7,7 @@ import trimesh
 
 from gazenerf.evaluation.face_crop import face_crop
 from gazenerf.export.mesh.rays import nearest_distance
-from gazenerf.head_model.interface import FACE, MOUTH, HeadMesh
+from gazenerf.head_model.interface import NOT_EYES, HeadMesh
 
 POINTS = 50_000
 """Points spread over a surface whose distances are taken."""
@@ -30,5 +30,5 @@ def distance_in_face_crop(mesh: trimesh.Trimesh, reference: HeadMesh) -> float:
     points = points[crop.contains(points)]
     if not len(points):
         return float("nan")
-    face = trimesh.Trimesh(reference.vertices, reference.part_faces(FACE, MOUTH), process=False)
+    face = trimesh.Trimesh(reference.vertices, reference.part_faces(*NOT_EYES), process=False)
     return float(np.median(nearest_distance(face, points)))

@@ -9,7 +9,7 @@ import numpy as np
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model.expressions import sample_expressions, with_open_mouth
 from gazenerf.head_model.model import ParametricHead
-from gazenerf.head_model.sampling import sample_expression, sample_person
+from gazenerf.head_model.sampling import sample_expression, sample_person, with_hair
 from gazenerf.subjects import Codes
 
 GAZE_PITCH, GAZE_YAW = 25.0, 35.0
@@ -27,6 +27,7 @@ XGAZE_LAYOUT: tuple[tuple[float, float], ...] = (
 
 LAYOUTS = ("random", "xgaze18")
 
+HAIR_CHOICES = ("none", "cuts")
 EXPRESSIONS = ("all", "few", "open")
 """All of ARKit's coefficients in combination, one to three at a time, or all with the mouth open in every view."""
 
@@ -56,6 +57,7 @@ def plan_view(
     size: int,
     layout: str = "random",
     expressions: str = "all",
+    hair: str = "none",
 ) -> View:
     """The view with these indices; the same arguments give the same view.
 
@@ -68,15 +70,20 @@ def plan_view(
             expression and gaze are constant over a frame.
         expressions: `all` (`sample_expressions`), `few` (`sample_expression`), what captures drew before 0.3, or
             `open` (`with_open_mouth` of all); all else of the view stays the same.
+        hair: `none`, or `cuts` (`with_hair`); all else stays the same.
 
     Raises:
-        ValueError: unknown layout or expressions.
+        ValueError: unknown layout, expressions or hair.
     """
+    if hair not in HAIR_CHOICES:
+        raise ValueError(f"unknown hair {hair!r}; there are {', '.join(HAIR_CHOICES)}")
     if expressions not in EXPRESSIONS:
         raise ValueError(f"unknown expressions {expressions!r}; there are {', '.join(EXPRESSIONS)}")
     if layout not in LAYOUTS:
         raise ValueError(f"unknown camera layout {layout!r}; there are {', '.join(LAYOUTS)}")
     who = sample_person(np.random.default_rng((seed, person)), model)
+    if hair == "cuts":
+        who = with_hair(np.random.default_rng((seed, person, 4)), model, who)
     frame = view if layout == "random" else view // len(XGAZE_LAYOUT)
     rng = np.random.default_rng((seed, person, 1, frame))
     pitch, yaw = rng.uniform(-GAZE_PITCH, GAZE_PITCH), rng.uniform(-GAZE_YAW, GAZE_YAW)
@@ -101,6 +108,6 @@ def plan_view(
         float(np.deg2rad(camera_yaw)), float(np.deg2rad(camera_pitch)), distance=float(distance), size=size,
         target=(float(target[0]), float(target[1]), float(target[2])),
     )  # fmt: skip
-    codes = Codes(who.identity, expression, who.texture, light)
+    codes = Codes(who.identity, expression, who.texture, light, who.hair)
     noise_seed = int(np.random.default_rng((seed, person, 2, view)).integers(2**31))
     return View(codes, gaze, camera, person, view, noise_seed)

@@ -25,7 +25,7 @@ from gazenerf.files import parse_json, whole_file
 from gazenerf.folders import Folder, local_copy
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.progress import Progress, silent
-from gazenerf.subjects import CODES, Codes
+from gazenerf.subjects import CODES, HAIR, Codes
 
 FORMAT = "gazenerf-captures-1"
 MANIFEST = "manifest.json"
@@ -36,7 +36,7 @@ MAX_MANIFEST_BYTES = 2**20
 DEPTH_STEP = 5e-4
 """World units per depth level; depth is stored as 16-bit steps from the capture's nearest point."""
 
-EARLIER = {"expressions": "few"}
+EARLIER = {"expressions": "few", "hair": "none"}
 """What holds for sets whose manifests are older than a setting."""
 
 _DAMAGE = (
@@ -114,6 +114,8 @@ def write_shard(folder: Folder, captures: list[Capture]) -> None:
     }
     for name in CODES:
         arrays[name] = np.stack([getattr(c.codes, name) for c in captures])
+    if captures[0].codes.hair.size:
+        arrays[HAIR] = np.stack([c.codes.hair for c in captures])
     for i, capture in enumerate(captures):
         seen = capture.depth > 0
         nearest = float(capture.depth[seen].min()) if seen.any() else 0.0
@@ -185,7 +187,7 @@ def read_shard(path: Path) -> list[Capture]:
     try:
         if path.stat().st_size > MAX_SHARD_BYTES:
             raise ValueError("it is larger than a shard can be")
-        arrays = read_stored_arrays(path, most=5 + 4 * SHARD_VIEWS)
+        arrays = read_stored_arrays(path, most=6 + 4 * SHARD_VIEWS)
         meta = parse_json(arrays["meta"].tobytes())
         if not isinstance(meta, list) or len(meta) > SHARD_VIEWS:
             raise ValueError(f"it does not describe up to {SHARD_VIEWS} captures")
@@ -208,7 +210,8 @@ def _capture(arrays: dict[str, np.ndarray], i: int, about: dict[str, Any]) -> Ca
     if parts.max() > 3:
         raise ValueError("a part id is above 3")
     depth = np.where(steps > 0, nearest + (steps - 1) * DEPTH_STEP, 0.0).astype(np.float32)
-    codes = Codes(*(arrays[name][i] for name in CODES))
+    hair = {HAIR: arrays[HAIR][i]} if HAIR in arrays else {}
+    codes = Codes(*(arrays[name][i] for name in CODES), **hair)
     return Capture(image, parts, depth, camera, gaze, codes, int(about["person"]), int(about["view"]))
 
 

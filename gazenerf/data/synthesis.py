@@ -13,7 +13,7 @@ import numpy as np
 from gazenerf.cores import usable_cores
 from gazenerf.data.captures import Capture
 from gazenerf.data.path_tracer import SAMPLES, PathTracer
-from gazenerf.data.protocol import EXPRESSIONS, LAYOUTS, View, plan_view
+from gazenerf.data.protocol import EXPRESSIONS, HAIR_CHOICES, LAYOUTS, View, plan_view
 from gazenerf.data.rasterizer import Raster, Rasterizer
 from gazenerf.data.storage import MANIFEST, MAX_SIDE, SHARD_VIEWS, shard_name, write_manifest, write_shard
 from gazenerf.errors import UserError
@@ -39,7 +39,7 @@ class SynthesizeOptions:
         views: Captures of each.
         size: Picture side in pixels.
         seed: 0 or more; the same seed and settings give the same bytes.
-        layout, expressions: See `plan_view`.
+        layout, expressions, hair: See `plan_view`.
         renderer: `pyrender`, shaded at the vertices, or `mitsuba`, path traced.
         supersampling: Of pyrender: this squared is its samples per pixel; `SUPERSAMPLING` by default.
         samples: Of mitsuba: light paths per pixel; `SAMPLES` by default.
@@ -57,6 +57,9 @@ class SynthesizeOptions:
         "all 52 coefficients in combination, few: one to three at a time, "
         "or open: all of them, with the mouth open in every view (default: all)",
         metavar="NAME",
+    )
+    hair: str = option(
+        "none", "none, or cuts: hair with volume, and beards, drawn at random (default: none)", metavar="NAME"
     )
     renderer: str = option(
         "pyrender",
@@ -81,6 +84,8 @@ class SynthesizeOptions:
             raise UserError(f"unknown --layout {self.layout!r}; there are {', '.join(LAYOUTS)}")
         if self.expressions not in EXPRESSIONS:
             raise UserError(f"unknown --expressions {self.expressions!r}; there are {', '.join(EXPRESSIONS)}")
+        if self.hair not in HAIR_CHOICES:
+            raise UserError(f"unknown --hair {self.hair!r}; there are {', '.join(HAIR_CHOICES)}")
         if self.supersampling is not None and not 1 <= self.supersampling <= MAX_SUPERSAMPLING:
             raise UserError(f"--supersampling goes from 1 to {MAX_SUPERSAMPLING}, got {self.supersampling}")
 
@@ -159,6 +164,7 @@ def synthesize(
             "seed": options.seed,
             "layout": options.layout,
             "expressions": options.expressions,
+            "hair": options.hair,
             **how,
             "renderer": options.renderer,
             "head_model": model.name,
@@ -204,7 +210,9 @@ class Rendering:
     def _write(self, drawing: Renderer, model: ParametricHead, shard: Shard, tell: Tell) -> None:
         options, captures = self.options, []
         for view in shard.views:
-            plan = plan_view(model, options.seed, shard.person, view, options.size, options.layout, options.expressions)
+            plan = plan_view(
+                model, options.seed, shard.person, view, options.size, options.layout, options.expressions, options.hair
+            )
             captures.append(render_capture(drawing, model, plan))
             if len(captures) == len(shard.views):
                 write_shard(self.folder, captures)

@@ -68,6 +68,11 @@ class GenericHead:
         self.expression_names = self._names(arrays, len(self.expression))
         self.code_sizes = (len(self.identity), len(self.expression), len(self.albedo_basis) + IRIS_CODES, 27)
 
+    @property
+    def hair_names(self) -> tuple[str, ...]:
+        """None: files have no hair."""
+        return ()
+
     def eye_centres(self, identity: np.ndarray) -> np.ndarray:
         """(2, 3) centres of rotation, left then right, world units."""
         return self._eyes + np.tensordot(identity, self._eyes_identity, 1)

@@ -11,11 +11,14 @@ from gazenerf.geometry import Gaze
 from gazenerf.head_model.points import LinearAlbedo, SkinPoints
 from gazenerf.subjects import Codes
 
-FACE, EYE_LEFT, EYE_RIGHT, MOUTH = 0, 1, 2, 3
-"""Values of `HeadMesh.face_part`: skin, eyeballs (left and right are the subject's own), and teeth, gums and tongue."""
+FACE, EYE_LEFT, EYE_RIGHT, MOUTH, HAIR = 0, 1, 2, 3, 4
+"""Values of `HeadMesh.face_part`: skin, the subject's left and right eyeball, teeth with gums and tongue, hair."""
 
-PICTURE_LABELS = np.array([1, 2, 3, 1], np.uint8)
-"""Of each part in label images, where 0 is the background: what is seen between the lips belongs to the face."""
+NOT_EYES = FACE, MOUTH, HAIR
+"""Parts that belong to the face stream and to the face in label images."""
+
+PICTURE_LABELS = np.array([1, 2, 3, 1, 1], np.uint8)
+"""Of each part in label images, where 0 is the background: hair and what is between the lips belong to the face."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +28,7 @@ class HeadMesh:
     Attributes:
         vertices: (V, 3) float32.
         faces: (F, 3) int32, counter-clockwise seen from outside. Parts share no vertices.
-        face_part: (F,) uint8: FACE, EYE_LEFT, EYE_RIGHT or MOUTH.
+        face_part: (F,) uint8: FACE, EYE_LEFT, EYE_RIGHT, MOUTH or HAIR.
         normals: (V, 3) float32 unit, outward.
         albedo: (V, 3) float32 linear RGB in [0, 1].
         landmarks: Name to (3,); the 68 standard ones are "0".."67", plus "iris_left", "iris_right".
@@ -67,6 +70,11 @@ class HeadModel(Protocol):
     @property
     def expression_names(self) -> tuple[str, ...]:
         """Of the expression coefficients; those that are ARKit's mean what ARKit's mean."""
+        ...
+
+    @property
+    def hair_names(self) -> tuple[str, ...]:
+        """Of the hair codes; none of models without hair."""
         ...
 
     @property

@@ -14,6 +14,7 @@ from gazenerf.head_model.assembly import assemble
 from gazenerf.head_model.assets import BUNDLED, read_arrays
 from gazenerf.head_model.eyes import IRIS_CODES, RADIUS_MM, with_eye_albedo
 from gazenerf.head_model.generic import FORMAT, METRES_PER_UNIT, GenericHead
+from gazenerf.head_model.hair import Hair
 from gazenerf.head_model.interface import HeadMesh
 from gazenerf.head_model.lids import fit_lids, lid_coefficients, push_out
 from gazenerf.head_model.mouth import Mouth
@@ -56,6 +57,7 @@ class ParametricHead:
         self._matrix = self._matrix.astype(np.float32)
         self._faces = triangles(fine).astype(np.int32)
         self.mouth = Mouth.of(data)
+        self.hair = Hair.of(data)
         self.code_sizes = (
             len(self.identity),
             len(self.expression),
@@ -70,6 +72,11 @@ class ParametricHead:
     def eye_centres(self, identity: np.ndarray) -> np.ndarray:
         """(2, 3) centres of rotation, left then right, world units."""
         return self._eyes_ahead + self.source_eyes + np.tensordot(identity, self.source_eyes_identity, 1)
+
+    @property
+    def hair_names(self) -> tuple[str, ...]:
+        """Of the hair codes."""
+        return () if self.hair is None else self.hair.names
 
     @property
     def _eyes_ahead(self) -> np.ndarray:
@@ -98,19 +105,24 @@ class ParametricHead:
         return with_eye_albedo(self.albedo_mean, self.albedo_basis, (LOWEST, HIGHEST), vertices, inside)
 
     def mesh(self, codes: Codes, gaze: Gaze) -> HeadMesh:
-        """The posed head with both eyes at `gaze`.
+        """The posed head with both eyes at `gaze`; with hair where the hair code is not empty.
 
         Raises:
-            UserError: codes of other sizes than `code_sizes`.
+            UserError: codes of other sizes than `code_sizes`, or a hair code of another size than `hair_names`.
         """
         if codes.sizes != self.code_sizes:
             raise UserError(f"the head model {self.name} takes codes of {self.code_sizes}, got {codes.sizes}")
+        if codes.hair.size not in (0, len(self.hair_names)):
+            raise UserError(
+                f"the head model {self.name} takes {len(self.hair_names)} hair codes or none, got {codes.hair.size}"
+            )
         expression = codes.expression + self.lids(gaze)
         base = (
             self.template
             + np.tensordot(codes.identity, self.identity, 1)
             + np.tensordot(expression, self.expression, 1)
         )
+        moved = base - self.template
         centres = self.eye_centres(codes.identity)
         source = self.source_eyes + np.tensordot(codes.identity, self.source_eyes_identity, 1)
         for old, new in zip(source, centres, strict=True):
@@ -122,9 +134,13 @@ class ParametricHead:
         inside = self.mouth
         mouth = inside and (inside.vertices(codes.identity, expression), inside.faces, inside.albedo)
         albedo = np.clip(self.albedo_mean + np.tensordot(codes.texture[:looks], self.albedo_basis, 1), LOWEST, HIGHEST)
+        cut, hair = codes.hair, None
+        if self.hair is not None and cut.any():
+            shape, shade = self.hair.vertices(cut, moved), self.hair.albedo(codes.texture[:looks])
+            hair = shape, self.hair.faces, shade, self.hair.light(cut)
         return assemble(
             skin, self._faces, albedo, self.landmarks, centres, EYE_RADIUS, codes.texture[looks:], gaze,
-            METRES_PER_UNIT, self.occlusion, mouth,
+            METRES_PER_UNIT, self.occlusion, mouth, hair,
         )  # fmt: skip
 
 

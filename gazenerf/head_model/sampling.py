@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from gazenerf.head_model.eyes import IRIS_CODES
@@ -9,6 +11,9 @@ from gazenerf.head_model.generic import GenericHead
 from gazenerf.head_model.interface import HeadModel
 from gazenerf.head_model.shading import sample_illumination
 from gazenerf.subjects import Codes
+
+STUBBLE = 11
+"""Which texture code of the bundled model darkens the beard's place."""
 
 _ALONE = ("jawOpen", "mouthSmileLeft", "mouthPucker", "browInnerUp", "mouthFunnel", "eyeSquintLeft", "mouthFrownLeft",
           "browDownLeft", "mouthShrugUpper", "noseSneerLeft", "cheekPuff")  # fmt: skip
@@ -42,6 +47,55 @@ def sample_person(rng: np.random.Generator, model: HeadModel) -> Codes:
     return Codes(
         np.clip(rng.normal(0, 0.85, identity), -2.0, 2.0), np.zeros(expression), look, sample_illumination(rng)
     )
+
+
+def sample_hair(rng: np.random.Generator, model: HeadModel) -> np.ndarray:
+    """(H,) a hair code: shaved or painted hair, crops, hair with volume, curls, fringes, hair over the ears or to the
+    neck, and beards; empty for models without hair."""
+    out = np.zeros(len(model.hair_names), np.float32)
+    index = {name: i for i, name in enumerate(model.hair_names)}
+    if not index:
+        return out
+
+    def put(**amounts: float) -> None:
+        for name, amount in amounts.items():
+            out[index[name]] = amount
+
+    cut = rng.choice(
+        ("shaved", "crop", "top", "round", "fringe", "bob", "long"), p=(0.16, 0.2, 0.16, 0.1, 0.1, 0.14, 0.14)
+    )
+    if cut != "shaved":
+        put(crop=rng.uniform(0.4, 1.3))
+    if cut == "top":
+        put(top=rng.uniform(0.3, 1.2), parting=rng.uniform(-0.6, 0.6))
+    if cut == "round":
+        put(round=rng.uniform(0.3, 1.3), curls=rng.uniform(0.5, 1.2))
+    if cut in ("bob", "long"):
+        put(crop=rng.uniform(0.2, 0.6), bob=rng.uniform(0.9, 1.25), parting=rng.uniform(-0.4, 0.4))
+    if cut == "long":
+        put(long=rng.uniform(0.9, 1.2))
+    if cut == "fringe" or (cut in ("bob", "long") and rng.random() < 0.5):
+        put(fringe=rng.uniform(0.85, 1.2))
+    if cut in ("crop", "top", "fringe") and rng.random() < 0.25:
+        put(curls=rng.uniform(0.2, 0.7))
+    if cut not in ("bob", "fringe") and rng.random() < 0.25:
+        put(beard=rng.uniform(0.7, 1.3))
+    return out
+
+
+def with_hair(rng: np.random.Generator, model: HeadModel, person: Codes) -> Codes:
+    """The person with a cut drawn at random; who wears a beard gets dark skin beneath it and a moustache of stubble.
+
+    Args:
+        rng: Draws the cut.
+        model: Whose codes they are.
+        person: Without hair.
+    """
+    hair, texture = sample_hair(rng, model), person.texture.copy()
+    names = model.hair_names
+    if names and hair[names.index("beard")] > 0.0:
+        texture[STUBBLE] = max(float(texture[STUBBLE]), 1.5)
+    return replace(person, texture=texture, hair=hair)
 
 
 def sample_expression(rng: np.random.Generator, model: HeadModel) -> np.ndarray:

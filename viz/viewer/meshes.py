@@ -14,7 +14,7 @@ from gazenerf.errors import UserError
 from gazenerf.export import MeshOptions, extract_part
 from gazenerf.geometry import Gaze
 from gazenerf.head_model import ReferenceHead
-from gazenerf.head_model.interface import FACE, MOUTH
+from gazenerf.head_model.interface import NOT_EYES
 from gazenerf.heads.interface import HeadField, Part
 from gazenerf.progress import Progress
 from gazenerf.subjects import Subject
@@ -61,7 +61,7 @@ def part_mesh(head: HeadField, part: Part, gaze: Gaze, progress: Progress) -> Ov
     reference, outward = ReferenceHead.of(head.subject), None
     if part != "eyes" and reference is not None:
         known = reference.at(gaze)
-        faces = known.part_faces(FACE, MOUTH) if part == "face" else known.faces
+        faces = known.part_faces(*NOT_EYES) if part == "face" else known.faces
         surface = trimesh.Trimesh(known.vertices, faces, process=False)
         outward = outward_mm(np.asarray(mesh.vertices), surface, bound.metres_per_unit)
     return OverlayMesh(np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.int32), outward)
