@@ -19,7 +19,7 @@ from gazenerf.checkpoints import load_field, save_field
 from gazenerf.cli.common import showing_progress
 from gazenerf.errors import UserError
 from gazenerf.field.config import FieldConfig
-from gazenerf.training.distances import JAW, DistanceOptions, learn_distances, template_jaw
+from gazenerf.training.distances import JAW, DistanceOptions, learn_distances
 from gazenerf.training.initial import starting_field
 
 SIZES = ("distance_width", "distance_frequencies", "distance_template", "surface_spread")
@@ -55,7 +55,7 @@ def main() -> None:
     field = starting_field(replace(field.config, geometry="distance", **encoding, **sizes), field)
     rate, jaw = arguments.learning_rate, arguments.jaw
     if jaw is None:
-        jaw = template_jaw(field) if further else JAW
+        jaw = field.template_jaw if further else JAW
     options = DistanceOptions(arguments.steps, arguments.people, rate, limits, arguments.seed, further, jaw)
     arguments.out.mkdir(parents=True, exist_ok=True)
     with showing_progress() as progress:

@@ -20,6 +20,7 @@ from torch import nn
 
 from gazenerf.field.config import FieldConfig
 from gazenerf.field.encoding import positional_encoding
+from gazenerf.field.hair import HairVolume
 
 LAYERS, SKIP_AFTER = 6, 3
 """Hidden layers, and after how many of them points and codes enter again."""
@@ -128,11 +129,29 @@ class TemplateMove(nn.Module):
 
 
 class DistanceCondition(NamedTuple):
-    """Codes and gaze of B images: biases (B, W) of the layers that they enter, and of the move (B, 3, W')."""
+    """Codes and gaze of B images: biases (B, W) of the layers that they enter, and of the move (B, 3, W').
+
+    `hair` is that of all of them, None where there is none.
+    """
 
     first: torch.Tensor
     skip: torch.Tensor
     move: torch.Tensor
+    hair: HairVolume | None = None
+
+
+class Placed(NamedTuple):
+    """What is known of points (B, N, 3), float32, world units.
+
+    Attributes:
+        distance: (B, N) signed, hair included.
+        places: (B, N, 3) on the template.
+        featured: (B, N, 3) places whose features are theirs: the same, but those of its roots for hair.
+    """
+
+    distance: torch.Tensor
+    places: torch.Tensor
+    featured: torch.Tensor
 
 
 class DistanceNetwork(nn.Module):
@@ -188,13 +207,18 @@ class DistanceNetwork(nn.Module):
         Half a unit in float16 is exact to half a millimetre only, which would be the grain of the surface.
         """
         batch, rest = points.shape[0], points.shape[1:-1]
-        return self.with_places(points.reshape(batch, -1, 3), condition)[0].reshape(batch, *rest)
+        return self.placed(points.reshape(batch, -1, 3), condition).distance.reshape(batch, *rest)
 
-    def with_places(self, points: torch.Tensor, condition: DistanceCondition) -> tuple[torch.Tensor, torch.Tensor]:
-        """Distances (B, N) at points (B, N, 3), and the points' places on the template (B, N, 3), float32."""
-        places = self.places(points, condition)
+    def placed(self, points: torch.Tensor, condition: DistanceCondition) -> Placed:
+        """Distances at points (B, N, 3), and their places on the template."""
+        places, hair = self.places(points, condition), condition.hair
         with torch.autocast(points.device.type, enabled=False):
-            return self.at(places, condition), places
+            distance = self.at(places, condition)
+            if hair is None:
+                return Placed(distance, places, places)
+            of_hair = hair.distance(points)
+            roots = torch.where((of_hair < distance)[..., None], hair.root_places(points), places)
+            return Placed(torch.minimum(distance, of_hair), places, roots)
 
     def at(self, places: torch.Tensor, condition: DistanceCondition) -> torch.Tensor:
         """Distances (B, N) of points whose places on the template (B, N, 3) are known, float32, world units."""

@@ -111,6 +111,11 @@ class TwoStreamField(nn.Module):
         return StreamSamples(density[0], hidden[0].float(), self.stream(name).project)
 
     @property
+    def template_jaw(self) -> float:
+        """How far the mouth is open, 0 to 1, on the template that distances were learned with."""
+        return float(self.about.get("geometry", {}).get("jaw", 0.0))
+
+    @property
     def version(self) -> int:
         """Changes whenever a weight does; what is derived from weights is kept under it."""
         return hash(tuple((value.data_ptr(), value._version) for value in (*self.parameters(), *self.buffers())))

@@ -7,6 +7,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from typing import TypeVar
 
@@ -16,12 +17,14 @@ import torch
 from gazenerf.devices import choose_device, is_out_of_memory, points_at_once, product_dtype, release_memory
 from gazenerf.errors import UserError
 from gazenerf.field.detail import SurfaceDetail
+from gazenerf.field.hair import HairVolume
 from gazenerf.field.model import TwoStreamField
 from gazenerf.field.streams import StreamCondition
 from gazenerf.geometry import Gaze
 from gazenerf.geometry.paths import BeyondTraining, GazeRange
 from gazenerf.heads.batches import FrameBatches, draw_guided
 from gazenerf.heads.bound import BoundHead
+from gazenerf.heads.hair import hair_volume, takes_hair
 from gazenerf.heads.interface import Part
 from gazenerf.heads.lattice import Band
 from gazenerf.heads.occupancy import MOVED, Occupancy
@@ -33,6 +36,9 @@ from gazenerf.workers import pool, workers_for
 
 GUIDED_BOX = ((-1.5, -1.7, -1.5), (1.5, 1.5, 1.5))
 """Corners, world units, of the volume that natively trained fields fill."""
+
+HAIRY_BOX = ((-1.5, -1.7, -1.6), (1.5, 1.8, 1.5))
+"""The same of heads with hair, which may stand high."""
 
 SLAB_HALF_WIDTH = 1.93
 """Half width of the volume that the published neutral camera sees."""
@@ -98,8 +104,10 @@ class Head:
         self.precision, self.dtype = precision, product_dtype(precision, self.device)
         self.chunk = points_at_once(self.device)
         self.metres_per_unit, self.weights_hash = config.metres_per_unit, field.weights_hash
+        self._hair: HairVolume | None = None
+        self._hair_known = not (subject.codes.hair.any() and takes_hair(config))
         if self.sampler == "guided":
-            self.box = np.array(GUIDED_BOX)
+            self.box = np.array(GUIDED_BOX if self._hair_known else HAIRY_BOX)
         else:
             side = SLAB_HALF_WIDTH
             self.box = np.array([[-side, -side, config.z_far], [side, side, config.z_near]])
@@ -231,7 +239,21 @@ class Head:
             shape = torch.from_numpy(codes.shape_code)[None].to(self.device)
             appearance = torch.from_numpy(codes.appearance_code)[None].to(self.device)
             label = self.field.label(torch.from_numpy(gaze.label)[None].to(self.device))
-            return label, {name: self.field.condition(name, shape, appearance, label) for name in self.field.streams}
+            found = {name: self.field.condition(name, shape, appearance, label) for name in self.field.streams}
+        hair, face = self.hair, "face" if "face" in found else "head"
+        known = found[face].distance
+        if hair is not None and known is not None:
+            found[face] = replace(found[face], distance=known._replace(hair=hair))
+        return label, found
+
+    @property
+    def hair(self) -> HairVolume | None:
+        """The subject's hair; None where it has none, or the field cannot take any."""
+        with self._lock:
+            if not self._hair_known:
+                found = hair_volume(self.subject.codes, self.field.template_jaw)
+                self._hair, self._hair_known = None if found is None else found.to(self.device), True
+            return self._hair
 
     @property
     def straight(self) -> dict[str, StreamCondition]:

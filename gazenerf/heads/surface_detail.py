@@ -18,6 +18,10 @@ FOLD = 6.0
 between them no detail is added, since it is not known to which a pixel belongs."""
 
 
+HAIR_END, HAIR_FADES = 0.025, 0.02
+"""World units: what lies so far from the hair's surface is skin, and over how much the one becomes the other."""
+
+
 def with_detail(head: Head, pictures: torch.Tensor, grid: FeatureGrid, seen: RayFeatures) -> torch.Tensor:
     """Pictures of a head with the detail of the skin, where its field has any: by texture code, or the person's own.
 
@@ -29,23 +33,34 @@ def with_detail(head: Head, pictures: torch.Tensor, grid: FeatureGrid, seen: Ray
         grid: The rays of their feature maps.
         seen: Along these rays.
     """
-    skin, own = head.texture_detail, head.field.detail
-    if skin is None and own is None:
+    skin, own, hair = head.texture_detail, head.field.detail, head.hair
+    if skin is None and own is None and hair is None:
         return pictures
-    places = surface_places(head, grid.rays_o + seen.distance.nan_to_num()[:, None] * grid.rays_d)
-    places = places.reshape(-1, *grid.shape, 3).permute(0, 3, 1, 2)
+    points = grid.rays_o + seen.distance.nan_to_num()[:, None] * grid.rays_d
+    places = surface_places(head, points)
+    if hair is not None:
+        places = torch.cat([places, points], dim=1)
+    places = places.reshape(-1, *grid.shape, places.shape[1]).permute(0, 3, 1, 2)
     distance = seen.distance.reshape(-1, 1, *grid.shape)
     known = distance.isfinite()
     far, near = distance.nan_to_num(-torch.inf), (-distance).nan_to_num(-torch.inf)
     apart = F.max_pool2d(far, 3, stride=1, padding=1) + F.max_pool2d(near, 3, stride=1, padding=1)
     width = distance.nan_to_num() / grid.cameras[0].fx
     share = (known & (apart < FOLD * width)).float() * seen.opacity.reshape(distance.shape).clamp(0.0, 1.0)
-    coarse = torch.cat([places * known, known.float(), share], dim=1)
+    coarse = torch.cat([known.float(), share, places * known], dim=1)
     fine = F.interpolate(coarse, size=pictures.shape[-2:], mode="bilinear", align_corners=False)
-    at, share = (fine[:, :3] / fine[:, 3:4].clamp(min=1e-6)).permute(0, 2, 3, 1), fine[:, 4:]
+    share, found = fine[:, 1:2], (fine[:, 2:] / fine[:, :1].clamp(min=1e-6)).permute(0, 2, 3, 1)
+    at, points = found[..., :3], found[..., 3:]
     detailed = pictures.reshape(-1, *pictures.shape[-3:])
+    brighter, on_skin = torch.zeros_like(share), at
+    if hair is not None:
+        on_hair = ((HAIR_END - hair.distance(points)) / HAIR_FADES).clamp(0.0, 1.0)[:, None]
+        brighter = hair.brightness(points)[:, None] * on_hair
+        on_skin = torch.where(on_hair[:, 0, ..., None] > 0.5, hair.root_places(points), at)
     if skin is not None:
-        detailed = (detailed + DARK) * (skin(at) * share).exp() - DARK
+        brighter = brighter + skin(on_skin)
+    if skin is not None or hair is not None:
+        detailed = (detailed + DARK) * (brighter * share).exp() - DARK
     if own is not None:
         detailed = detailed + own(at) * share
     return detailed.reshape(pictures.shape)

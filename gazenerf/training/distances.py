@@ -227,11 +227,6 @@ def learn_distances(
     return {part: measure_distances(field, part, unseen[part].to(device)) for part in PARTS}
 
 
-def template_jaw(field: TwoStreamField) -> float:
-    """How far the mouth is open on the template that a field's distances were learned with."""
-    return float(field.about.get("geometry", {}).get("jaw", 0.0))
-
-
 def distance_network(field: TwoStreamField, part: str) -> DistanceNetwork:
     """The network that gives a stream's signed distances."""
     network = field.stream(part).distance

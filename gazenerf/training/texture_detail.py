@@ -24,7 +24,6 @@ from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, FACE, HeadMesh
 from gazenerf.head_model.model import ParametricHead
 from gazenerf.head_model.ray_scenes import ray_scene, tensor
 from gazenerf.head_model.sampling import sample_person
-from gazenerf.training.distances import template_jaw
 
 FADING, BESIDE = 12.0, 1.0
 """Degrees over which detail fades at the border of what it covers, and beside the openings of eyes and mouth."""
@@ -71,7 +70,7 @@ def learn_texture_detail(field: TwoStreamField, options: DetailOptions | None = 
         raise UserError("texture detail is kept by place on the template; the field needs features_at template")
     if field.config.code_sizes != model.code_sizes:
         raise UserError(f"the field takes codes of {field.config.code_sizes}, the head model has {model.code_sizes}")
-    skin = TemplateSkin(model, options.size, template_jaw(field))
+    skin = TemplateSkin(model, options.size, field.template_jaw)
     rngs = (np.random.default_rng((options.seed, number)) for number in range(options.people))
     codes = np.stack([[1.0, *sample_person(rng, model).texture] for rng in rngs])
     varying = np.sqrt(np.mean(np.square(codes), axis=0)).clip(min=1e-3)

@@ -21,7 +21,6 @@ from gazenerf.head_model.sampling import sample_person
 from gazenerf.heads import Head
 from gazenerf.heads.skin_bands import drawn_bands, logarithm, skin_detail
 from gazenerf.subjects import Codes, load_subject
-from gazenerf.training.distances import template_jaw
 from gazenerf.training.initial import starting_field
 from gazenerf.training.texture_detail import (
     DetailOptions,
@@ -67,7 +66,7 @@ def test_detail_is_the_fine_part_of_a_persons_skin(tmp_path: Path) -> None:
     save_field(field, tmp_path / "field.safetensors", half=True)
     detail = load_field(tmp_path / "field.safetensors").texture_detail
     assert detail is not None
-    model, skin = load_head_model(), TemplateSkin(load_head_model(), CELLS, template_jaw(field))
+    model, skin = load_head_model(), TemplateSkin(load_head_model(), CELLS, field.template_jaw)
     share = skin.share(12.0, 1.0)
     assert 0.3 < (share == 1.0).mean() < 0.8 and share[0].max() < 0.1 > share[:, -1].max()
     left = whole = 0.0
