@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from gazenerf.checkpoints import load_field, save_field
 from gazenerf.errors import UserError
+from gazenerf.field.model import TwoStreamField
 from gazenerf.training.texture_detail import DetailOptions, learn_texture_detail
 
 
@@ -25,11 +27,18 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="its file with detail")
     parser.add_argument("--people", type=int, default=defaults.people)
     parser.add_argument("--rank", type=int, default=defaults.rank)
+    parser.add_argument(
+        "--spread", type=float, help="deviation, world units, over which the face's features are averaged as well"
+    )
     parser.add_argument("--half", action="store_true", help="store half precision")
     arguments = parser.parse_args()
     field = load_field(arguments.checkpoint)
     options = DetailOptions(people=arguments.people, rank=arguments.rank)
     detailed = learn_texture_detail(field, options)
+    if arguments.spread is not None:
+        spread = TwoStreamField(replace(detailed.config, feature_spread=arguments.spread))
+        spread.load_state_dict(detailed.state_dict())
+        detailed = spread
     detailed.about = {**field.about, "detail": {"people": options.people, "rank": options.rank}}
     save_field(detailed, arguments.out, half=arguments.half)
     print(f"wrote {arguments.out}")

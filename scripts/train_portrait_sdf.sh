@@ -55,7 +55,7 @@ placed="{$sharp, \"features_at\": \"template\"}"
 settle all "$folder/run" "$folder/placed/field.safetensors" "$placed" warmup=20 perceptual_start=0 ema=0.996 \
 	learning_rate=4e-4 eyes_weight=3 "window=[16,56]" window_eyes=0.3 window_mouth=0.4 --minutes 80 "$@"
 fields=$("$python" -c 'from gazenerf.checkpoints import FIELDS; print(FIELDS)')
-"$python" "$scripts/learn_detail.py" --checkpoint "$folder/run/field.safetensors" --half \
+"$python" "$scripts/learn_detail.py" --checkpoint "$folder/run/field.safetensors" --spread 0.018 --half \
 	--out "$fields/portrait-sdf.safetensors"
 "$python" "$scripts/join_captures.py" --base "$folder/people" --more "$folder/people" --held-out $(seq 14 39) \
 	--out "$folder/watched"

@@ -46,6 +46,9 @@ class FieldConfig:
         surface_spread: Scale, world units, over which its density rises at the surface.
         features_at: Where features are queried: at `points`, as published, or, of fields of distances, at their
             places on the `template`, where brows, lips and irises lie in the same place whoever it is.
+        feature_spread: Deviation, world units, of a Gaussian about a point over which the encoding of where the face's
+            (or a single stream's) features are asked for is averaged, so that octaves finer than a feature pixel do not
+            become grain; 0, as published, takes the point alone. Eyes always do.
         detail: Maps of the skin's detail that texture codes mix, their rows and columns; 0, 0, 0 of fields without any
             (see `gazenerf.field.detail`).
         metres_per_unit: Size of a world unit.
@@ -88,6 +91,7 @@ class FieldConfig:
     template_fall: float = 2.0
     surface_spread: float = 0.01
     features_at: str = "points"
+    feature_spread: float = 0.0
     detail: tuple[int, int, int] = (0, 0, 0)
     metres_per_unit: float = 0.1
     sampler: str = "slabs"
@@ -200,6 +204,7 @@ _RANGES: dict[str, tuple[float, float]] = {
     "z_far": (-1e3, 1e3),
     "shell": (1e-6, 1e3),
     "surface_spread": (1e-5, 1.0),
+    "feature_spread": (0.0, 1.0),
     "template_fall": (1.0, 2.0),
     "ray_offset": (-1.0, 2.0),
     "input_gains": (1e-6, 1e6),

@@ -15,7 +15,7 @@ from torch import nn
 
 from gazenerf.field.config import FieldConfig
 from gazenerf.field.distance import DistanceCondition, DistanceNetwork, laplace_density
-from gazenerf.field.encoding import positional_encoding
+from gazenerf.field.encoding import positional_encoding, spread_gains
 from gazenerf.field.eye_motion import EyePose
 from gazenerf.field.plane import FeaturePlane, plane_coordinates
 
@@ -67,6 +67,7 @@ class Stream(nn.Module):
         width, inputs = config.hidden, self.inputs
         appearance = config.texture + config.illumination
         self.plane: FeaturePlane | None = None
+        self.spread = 0.0 if name == "eyes" else config.feature_spread
         self.trunk = nn.ModuleList(
             nn.Linear(inputs if i == 0 else width + inputs if i == config.skip_after else width, width)
             for i in range(config.layers)
@@ -84,6 +85,13 @@ class Stream(nn.Module):
                     nn.init.zeros_(module.bias)
             if self.density is not None:
                 nn.init.constant_(self.density.bias, INITIAL_DENSITY if config.density_activation == "relu" else 0.0)
+
+    def _encoded(self, points: torch.Tensor) -> torch.Tensor:
+        """(..., 3 + 6 F) encoding of points (..., 3), averaged over the stream's spread."""
+        encoded = positional_encoding(points, self.config.frequencies)
+        if self.spread > 0.0:
+            encoded = encoded * spread_gains(self.config.frequencies, self.spread, points.device)
+        return encoded
 
     def _codes(self, shape_code: torch.Tensor, gaze_label: torch.Tensor) -> torch.Tensor:
         identity, expression, _, _, gaze = self.config.input_gains
@@ -132,13 +140,11 @@ class Stream(nn.Module):
         distance = None
         if self.distance is not None:
             known = self.distance.condition(shape_code, gaze_label)
-            distance, places = self.distance.with_places(points.flatten(1, -2), known)
-            distance = distance.reshape(points.shape[:-1])
+            found = self.distance.placed(points.flatten(1, -2), known)
+            distance = found.distance.reshape(points.shape[:-1])
             if self.config.features_at == "template":
-                points = places.reshape(points.shape)
-        inputs = torch.cat(
-            [positional_encoding(points, self.config.frequencies), spread(self._codes(shape_code, gaze_label))], dim=-1
-        )
+                points = found.places.reshape(points.shape)
+        inputs = torch.cat([self._encoded(points), spread(self._codes(shape_code, gaze_label))], dim=-1)
         hidden = inputs
         for i, layer in enumerate(self.trunk):
             if i == self.config.skip_after:
@@ -209,21 +215,22 @@ class Stream(nn.Module):
             features: Without, the second result is empty.
 
         Returns:
-            density (B, N) float32, what the trunk gives (B, N, H), and the points (B, N, 3) at which it was asked.
+            density (B, N) float32, what the trunk gives (B, N, H), and the places (B, N, 3) of the points on a plane of
+            features: where the trunk was asked, but for hair, whose roots it is asked for.
         """
         batch = points.shape[0]
         density = None
         if condition.pose is not None:
             points = condition.pose.straight_ahead(points)
-        points = points.reshape(batch, -1, 3)
+        points = asked = points.reshape(batch, -1, 3)
         if self.distance is not None and condition.distance is not None:
-            distance, places = self.distance.with_places(points, condition.distance)
-            density = laplace_density(distance, self.config.surface_spread)
+            found = self.distance.placed(points, condition.distance)
+            density = laplace_density(found.distance, self.config.surface_spread)
             if not features:
                 return density, density.new_empty(0), points
             if self.config.features_at == "template":
-                points = places
-        encoded = positional_encoding(points, self.config.frequencies)
+                points, asked = found.places, found.featured
+        encoded = self._encoded(asked)
         if torch.is_autocast_enabled(points.device.type):
             encoded = encoded.to(torch.get_autocast_dtype(points.device.type))
         channels, inputs = encoded.shape[-1], self.inputs

@@ -23,6 +23,7 @@ _FREE = {
     "initialisation",
     "background",
     "surface_spread",
+    "feature_spread",
 }
 """Settings that mean nothing to weights: where they are sampled, what they saw, what they began as, how sharply a
 surface of distances is drawn."""

@@ -6,7 +6,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from gazenerf.field.encoding import positional_encoding
+from gazenerf.field.encoding import positional_encoding, spread_gains
 from gazenerf.field.streams import DENSITY_LEAK, Stream
 from tests.field_doubles import tiny_config
 
@@ -31,6 +31,25 @@ def test_encoding_order_and_values() -> None:
     assert encoded[0, 57:60].tolist() == pytest.approx([math.sin(512 * x) for x in (0.1, -0.2, 0.3)], abs=1e-4)
 
 
+def test_an_encoding_that_is_spread_is_the_mean_over_a_gaussian() -> None:
+    torch.manual_seed(0)
+    point, spread = torch.tensor([0.1, -0.2, 0.3]), 0.05
+    around = positional_encoding(point + spread * torch.randn(200_000, 3), 8).mean(0)
+    found = positional_encoding(point[None], 8)[0] * spread_gains(8, spread)
+    torch.testing.assert_close(found, around, atol=0.01, rtol=0.0)
+    assert spread_gains(8, 0.0).tolist() == [1.0] * 51
+
+
+def test_eyes_are_encoded_at_the_point_and_the_face_where_it_is_spread() -> None:
+    config = tiny_config(feature_spread=0.2)
+    point = torch.tensor([[0.4, 0.1, 0.9]])
+    plain = positional_encoding(point, config.frequencies)
+    torch.testing.assert_close(Stream(config, "eyes")._encoded(point), plain)
+    spread = Stream(config, "face")._encoded(point)
+    torch.testing.assert_close(spread, plain * spread_gains(config.frequencies, 0.2))
+    assert (spread - plain).abs().max() > 1e-3
+
+
 def test_full_size_takes_244_inputs() -> None:
     from gazenerf.field.config import PAPER
 
@@ -41,10 +60,11 @@ def test_full_size_takes_244_inputs() -> None:
     assert stream.feature_1.weight.shape == (192, 384 + 127) and stream.feature_2.weight.shape == (258, 192)
 
 
+@pytest.mark.parametrize("spread", [0.0, 0.1])
 @pytest.mark.parametrize("gaze_input", [True, False])
-def test_folded_query_equals_reference(gaze_input: bool) -> None:
+def test_folded_query_equals_reference(gaze_input: bool, spread: float) -> None:
     torch.manual_seed(0)
-    stream = Stream(tiny_config(gaze_input=gaze_input)).eval()
+    stream = Stream(tiny_config(gaze_input=gaze_input, feature_spread=spread)).eval()
     points, shape, look, label = inputs(stream)
     with torch.no_grad():
         density, features = stream(points, shape, look, label)
