@@ -98,6 +98,8 @@ def _sheet(options: Options) -> int:
     from gazenerf.photographs.marking import write_altered
     from gazenerf.viz.pictures.redirect_sheet import redirect_sheet
 
+    if options.whole_head:
+        raise UserError("--grid shows eyes alone; leave out --whole-head")
     refuse_outputs(options.photograph, [options.out], options.overwrite)
     options.check()
     redirector, warnings = prepare(options.photograph, options)
@@ -112,12 +114,22 @@ def _sheet(options: Options) -> int:
     return 0
 
 
+def _refuse_several(options: Options, what: str) -> None:
+    """Refuse options that are about one photograph.
+
+    Raises:
+        UserError: one is given.
+    """
+    for name, given in (("--grid", options.grid), ("--whole-head", options.whole_head)):
+        if given:
+            raise UserError(f"{name} takes one photograph; give a picture instead of a {what}")
+
+
 def _folder(options: Options) -> int:
     from gazenerf.cli.common import summary_table
     from gazenerf.photographs.redirect_folder import REDIRECTED, redirect_folder
 
-    if options.grid:
-        raise UserError("--grid takes one photograph; give a picture instead of a folder")
+    _refuse_several(options, "folder")
     started, where = time.perf_counter(), options.where()
     made = redirect_folder(
         options.photograph, options.out, options, options.overwrite, lambda line: print(line), where.workers,
@@ -137,8 +149,7 @@ def _video(options: Options) -> int:
     from gazenerf.cli.common import showing_progress, summary_table, warn
     from gazenerf.viz.pictures.redirect_video import redirect_video
 
-    if options.grid:
-        raise UserError("--grid takes one photograph; give a picture instead of a video")
+    _refuse_several(options, "video")
     with showing_progress() as progress:
         made = redirect_video(options.photograph, options.out, options, options.overwrite, progress)
     for line in made.warnings:

@@ -11,11 +11,12 @@ import numpy as np
 from gazenerf.data.captures import Capture
 from gazenerf.data.rasterizer import Rasterizer
 from gazenerf.datasets.faces import Face
-from gazenerf.datasets.parts import above_chin, head_parts
+from gazenerf.datasets.parts import head_parts
 from gazenerf.datasets.published import Sample
 from gazenerf.errors import UserError
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model.interface import HeadModel
+from gazenerf.photographs.appearance import above_chin
 from gazenerf.photographs.fit import FittedPhotograph
 from gazenerf.photographs.landmarks import FaceLandmarks
 from gazenerf.photographs.normalisation import face_centre, normalise

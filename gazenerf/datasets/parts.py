@@ -8,6 +8,7 @@ import numpy as np
 from gazenerf.data.rasterizer import Raster
 from gazenerf.geometry import Camera
 from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, HeadMesh
+from gazenerf.photographs.appearance import above_chin
 from gazenerf.photographs.irises import lids
 from gazenerf.photographs.landmarks import FaceLandmarks
 
@@ -73,13 +74,6 @@ def _head(
     if person is None:
         return drawn
     return person & (drawn | (_grown(drawn, HAIR_MM * pixels_per_mm) & above_chin(mesh, camera)))
-
-
-def above_chin(mesh: HeadMesh, camera: Camera) -> np.ndarray:
-    """(H, W) bool: pixels above the chin, along the line from the brows to it."""
-    chin, brows = camera.project(np.stack([mesh.landmarks["8"], mesh.landmarks["27"]]).astype(np.float64))[0]
-    down = (chin - brows) / max(float(np.linalg.norm(chin - brows)), 1e-9)
-    return (camera.pixel_centres() - chin) @ down < 0.0
 
 
 def _pixels_per_mm(mesh: HeadMesh, camera: Camera) -> float:

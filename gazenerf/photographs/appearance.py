@@ -69,6 +69,13 @@ def face_oval(landmarks: FaceLandmarks, shape: tuple[int, int]) -> np.ndarray:
     return _filled(landmarks, FACE_OVAL if landmarks.dense else STANDARD_OVAL, shape, hull=not landmarks.dense)
 
 
+def above_chin(mesh: HeadMesh, camera: Camera, share: float = 1.0) -> np.ndarray:
+    """(H, W) bool: pixels above the chin, or a share of the way from the brows to it, along the line between them."""
+    chin, brows = camera.project(np.stack([mesh.landmarks["8"], mesh.landmarks["27"]]).astype(np.float64))[0]
+    down = (chin - brows) / max(float(np.linalg.norm(chin - brows)), 1e-9)
+    return (camera.pixel_centres() - (brows + share * (chin - brows))) @ down < 0.0
+
+
 def skin_mask(seen: Seen) -> np.ndarray:
     """(H, W) bool: pixels that tell the skin's colour."""
     shape = seen.image.shape[:2]

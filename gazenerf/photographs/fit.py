@@ -12,15 +12,18 @@ import numpy as np
 
 from gazenerf.data.rasterizer import Rasterizer
 from gazenerf.errors import UserError
+from gazenerf.geometry import Camera
 from gazenerf.head_model.interface import HeadMesh, HeadModel
 from gazenerf.image_metrics import psnr
 from gazenerf.photographs.appearance import Seen, face_oval, fit_appearance
 from gazenerf.photographs.correspondence import LandmarkTable, table_for
 from gazenerf.photographs.eye_outlines import told_outlines
+from gazenerf.photographs.hair_fit import fit_hair
 from gazenerf.photographs.irises import CLOSED, find_eyes, lid_landmarks, openness
 from gazenerf.photographs.landmarks import FaceLandmarks
-from gazenerf.photographs.picture_terms import Observed, SeenOpenings
+from gazenerf.photographs.picture_terms import Observed, SeenOpenings, SeenSkin
 from gazenerf.photographs.seen_gaze import seen_gaze
+from gazenerf.photographs.seen_skin import seen_skin
 from gazenerf.photographs.shape_fit import PictureFit, ShapeFit, fit_shape
 from gazenerf.photographs.teeth import teeth_are_shut
 from gazenerf.subjects import FITTED, Codes, Subject
@@ -35,8 +38,11 @@ WORKING_INTEROCULAR = 120.0
 EYE_ROUNDS = 2
 """How often the eyes are looked for, each time with the head as it was fitted before."""
 
-MARGIN = 2.2
-"""What is worked on around the eyes, in distances between the eyes to each side."""
+SKIN_BLURS_MM = (2.5, 1.2, 0.8)
+"""The skin's pixels are compared as often as this has entries, photograph and head blurred by so much."""
+
+MARGIN, ABOVE = 2.2, 3.0
+"""What is worked on around the face, in distances between the eyes to each side and below, and above."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +107,7 @@ def fit_photographs(
     table_path: Path | None = None,
     one_camera: bool = False,
     known: KnownPerson | None = None,
+    hair: bool = False,
 ) -> list[FittedPhotograph]:
     """Fit one person in one or several photographs; they share identity and texture.
 
@@ -110,6 +117,7 @@ def fit_photographs(
         table_path: Landmark table of the head model; see `table_for`.
         one_camera: The photographs have one focal length, as frames of a video have.
         known: The person, where other photographs told; pose, expression, gaze and light are fitted then.
+        hair: Fit hair too, to the photograph that shows the head most from the front.
 
     Raises:
         UserError: a face is too small or seen in profile, or the landmarks differ in kind.
@@ -134,13 +142,75 @@ def fit_photographs(
     shape, found = coarse, observed
     for _ in range(EYE_ROUNDS):
         shape, found = _with_eyes(model, photographs, observed, table, shape, identity, one_camera)
-    seen = [_seen(model, p, shape, i) for i, p in enumerate(photographs)]
-    texture, lights = fit_appearance(model, seen, None if known is None else known.texture)
+    texture = None if known is None else known.texture
+    seen, looks = _with_looks(model, photographs, shape, texture)
+    found = [_with_gaze(model, *item, shape) for item in zip(found, photographs, range(len(found)), strict=True)]
+    for blur_mm in SKIN_BLURS_MM:
+        found = [replace(item, skin=_skin(model, shape, i, seen[i], looks[i], blur_mm)) for i, item in enumerate(found)]
+        shape = fit_shape(model, found, table, shape, identity, one_camera)
+        seen, looks = _with_looks(model, photographs, shape, texture)
+    cut = _hair(model, photographs, shape, looks) if hair else np.zeros(0, np.float32)
     return [
         _fitted(model, photograph, (coarse.pictures[i], shape.pictures[i]), shape.identity, seen[i],
-                (texture, lights[i]), table, found[i])
+                (*looks[i], cut), table, found[i])
         for i, photograph in enumerate(photographs)
     ]  # fmt: skip
+
+
+def _with_gaze(model: HeadModel, observed: Observed, photograph: Photograph, number: int, shape: ShapeFit) -> Observed:
+    """The same picture with the gaze that a network reads, unless the eyes are closed.
+
+    It is asked last: where it is far from what irises say, it counts little, and they have spoken first.
+    """
+    if max(openness(photograph.landmarks)) < CLOSED:
+        return observed
+    picture = shape.pictures[number]
+    mesh = _shape_mesh(model, shape.identity, picture)
+    return replace(observed, gaze=seen_gaze(photograph.pixels, picture.camera, mesh))
+
+
+def _with_looks(
+    model: HeadModel, photographs: Sequence[Photograph], shape: ShapeFit, texture: np.ndarray | None
+) -> tuple[list[Seen], list[tuple[np.ndarray, np.ndarray]]]:
+    """The parts of the photographs that are worked on, with the fitted head, and texture and light of each."""
+    seen = [_seen(model, photograph, shape, i) for i, photograph in enumerate(photographs)]
+    texture, lights = fit_appearance(model, seen, texture)
+    return seen, [(texture, light) for light in lights]
+
+
+def _hair(
+    model: HeadModel, photographs: Sequence[Photograph], shape: ShapeFit, looks: list[tuple[np.ndarray, np.ndarray]]
+) -> np.ndarray:
+    """(H,) the person's hair code; empty where no photograph tells of any."""
+
+    def aside(number: int) -> float:
+        position = shape.pictures[number].camera.position
+        return float(-position[2] / np.linalg.norm(position))
+
+    number = min(range(len(photographs)), key=aside)
+    photograph, picture = photographs[number], shape.pictures[number]
+    codes = Codes(shape.identity, picture.expression, *looks[number])
+    return fit_hair(
+        model, codes, picture.gaze, picture.camera, photograph.pixels, photograph.landmarks, photograph.person,
+        photograph.labels,
+    )  # fmt: skip
+
+
+def _skin(
+    model: HeadModel, shape: ShapeFit, number: int, seen: Seen, looks: tuple[np.ndarray, np.ndarray], blur_mm: float
+) -> SeenSkin | None:
+    """The skin's pixels of one photograph, and their colours as fitted so far."""
+    picture = shape.pictures[number]
+    codes = Codes(shape.identity, picture.expression, *looks)
+    with Rasterizer((seen.camera.width, seen.camera.height), 2) as rasterizer:
+        drawn = rasterizer.render_lit(model.mesh(codes, picture.gaze), codes.illumination, seen.camera)
+    return seen_skin(seen, drawn.image, blur_mm, _to_seen(picture.camera, seen.camera))
+
+
+def _to_seen(whole: Camera, part: Camera) -> np.ndarray:
+    """(2, 2) factor and shift per axis from pixels of a photograph to those of the part that is worked on."""
+    factor = np.array([part.fx / whole.fx, part.fy / whole.fy])
+    return np.stack([factor, np.array([part.cx, part.cy]) - factor * [whole.cx, whole.cy]])
 
 
 def refuse_profile(name: str, picture: PictureFit) -> None:
@@ -166,10 +236,7 @@ def _with_eyes(
     identity: np.ndarray | None,
     one_camera: bool,
 ) -> tuple[ShapeFit, list[Observed]]:
-    """The fit with irises and openings of the eyes from pixels, and with the gaze that a network reads.
-
-    Also what was found.
-    """
+    """The fit with irises and openings of the eyes from pixels, and what was found."""
     centres = np.asarray(model.eye_centres(fitted.identity), dtype=np.float64)
     radius = model.skin_points(table.vertices[:1]).radius
     rows = _lid_rows(table, photographs[0].landmarks.dense)
@@ -178,9 +245,7 @@ def _with_eyes(
         mesh = _shape_mesh(model, fitted.identity, picture)
         eyes = find_eyes(photograph.pixels, photograph.landmarks, picture.camera, centres, radius, mesh)
         lids = [picture.projected[list(some)].mean(axis=0) if some else np.full(2, np.nan) for some in rows]
-        closed = max(openness(photograph.landmarks)) < CLOSED
-        gaze = None if closed else seen_gaze(photograph.pixels, picture.camera, mesh)
-        better.append(item.with_eyes(eyes.irises, SeenOpenings(rows, np.stack(lids) + eyes.moves), gaze))
+        better.append(item.with_eyes(eyes.irises, SeenOpenings(rows, np.stack(lids) + eyes.moves), None))
     return fit_shape(model, better, table, fitted, identity, one_camera), better
 
 
@@ -205,7 +270,8 @@ def _seen(model: HeadModel, photograph: Photograph, shape: ShapeFit, number: int
     reach = MARGIN * landmarks.interocular
     height, width = photograph.pixels.shape[:2]
     middle = landmarks.points.mean(axis=0)
-    left, top = (int(value) for value in np.clip(np.floor(middle - reach), 0, [width - 16, height - 16]))
+    upper = np.array([reach, ABOVE * landmarks.interocular])
+    left, top = (int(value) for value in np.clip(np.floor(middle - upper), 0, [width - 16, height - 16]))
     right, bottom = (int(value) for value in np.clip(np.ceil(middle + reach), [left + 16, top + 16], [width, height]))
     factor = min(1.0, WORKING_INTEROCULAR / landmarks.interocular)
     size = max(16, round((right - left) * factor)), max(16, round((bottom - top) * factor))
@@ -230,17 +296,18 @@ def _seen(model: HeadModel, photograph: Photograph, shape: ShapeFit, number: int
 
 def _fitted(
     model: HeadModel, photograph: Photograph, pictures: tuple[PictureFit, PictureFit], identity: np.ndarray, seen: Seen,
-    looks: tuple[np.ndarray, np.ndarray], table: LandmarkTable, found: Observed,
+    looks: tuple[np.ndarray, np.ndarray, np.ndarray], table: LandmarkTable, found: Observed,
 ) -> FittedPhotograph:  # fmt: skip
     coarse, picture = pictures
     codes = Codes(identity, picture.expression, *looks)
     seen = replace(seen, mesh=model.mesh(codes, picture.gaze))
     with Rasterizer((seen.camera.width, seen.camera.height), 2) as rasterizer:
         raster = rasterizer.render_lit(seen.mesh, codes.illumination, seen.camera)
+    if codes.hair.size:
+        seen = replace(seen, raster=raster)
     marks = photograph.landmarks.points[table.landmarks]
     projected = picture.projected[: len(table.vertices)]
-    to_seen = np.array([seen.camera.fx / picture.camera.fx, seen.camera.fy / picture.camera.fy])
-    shift = np.array([seen.camera.cx, seen.camera.cy]) - to_seen * [picture.camera.cx, picture.camera.cy]
+    to_seen, shift = _to_seen(picture.camera, seen.camera)
     residuals = measured(photograph, coarse, picture, found) | {"face_psnr_db": face_psnr(seen, raster.image)}
     provenance = {"made_by": FITTED, "photograph": photograph.name, "head_model": model.name, "trained": False,
                   "fine_tuned": False, **told_outlines(photograph.landmarks)}  # fmt: skip

@@ -53,6 +53,7 @@ class FieldFitOptions(FitOptions):
     """How photographs are fitted, and a field to them.
 
     Attributes:
+        hair: Fit the head model's hair to the outline and to the hair's border.
         field: Fine-tune a field; without, the head model alone is fitted.
         method: How the field is fine-tuned; see `gazenerf.photographs.tuning.METHODS`.
         quick: Fewer steps from fewer views, less like the person.
@@ -61,6 +62,10 @@ class FieldFitOptions(FitOptions):
         preview_every: Seconds between two previews.
     """
 
+    hair: bool = option(
+        True, "fit hair with volume, where the photograph shows any, which is the default",
+        off=("--no-hair", "hair is painted on the head"),
+    )  # fmt: skip
     field: bool = option(
         True, "fine-tune the field to the person, which is the default",
         off=("--no-field", "fit the head model alone, in seconds; a field then draws a similar stranger"),

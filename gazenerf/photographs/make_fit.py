@@ -17,6 +17,7 @@ from gazenerf.errors import UserError
 from gazenerf.field.model import TwoStreamField
 from gazenerf.files import refuse_existing, whole_file
 from gazenerf.head_model import load_head_model
+from gazenerf.heads.hair import takes_hair
 from gazenerf.photographs.fine_tuning import Preview
 from gazenerf.photographs.fit import FittedPhotograph, Photograph, fit_photographs
 from gazenerf.photographs.fit_options import FieldFitOptions, read_photographs
@@ -83,7 +84,8 @@ def make_fit(
     model = load_head_model(options.head_model)
     field = field_to_tune(options, model.code_sizes) if options.field else None
     started = time.perf_counter()
-    fitted = fit_photographs(_read(photographs, options, field, state), model, options.landmark_table)
+    hair = options.hair and (field is None or takes_hair(field.config))
+    fitted = fit_photographs(_read(photographs, options, field, state), model, options.landmark_table, hair=hair)
     seconds = time.perf_counter() - started
     if state is not None:
         state.begin()
@@ -120,6 +122,7 @@ def _read(
         state.expect({
             "files": [weights_hash(file) for file in given], "field": field.weights_hash, "method": options.method,
             "quick": options.quick, "face": options.face, "focal": options.focal,
+            "hair": options.hair,
         })  # fmt: skip
     return photographs
 

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from gazenerf.errors import UserError
 from gazenerf.files import refuse_existing
 from gazenerf.folders import Folder
@@ -19,6 +21,7 @@ from gazenerf.photographs.fit_options import FitOptions, read_photographs
 from gazenerf.photographs.marking import check_picture_name, write_altered
 from gazenerf.photographs.picture import read_photograph
 from gazenerf.photographs.redirect import Redirected, Redirector, refuse_beyond
+from gazenerf.photographs.whole_head import fine_tuned_head, with_whole_head
 from gazenerf.subjects import load_subject
 
 
@@ -30,6 +33,7 @@ class RedirectOptions(FitOptions):
         gaze: Pitch and yaw, degrees, head frame; None where one of the others is given.
         look_at_camera: Each eye looks into the camera.
         subject: What `gazenerf fit` wrote for this photograph, instead of fitting it.
+        whole_head: Draw the whole head by the field that was fine-tuned to the subject, not the eyes alone.
         mark: Say in the metadata that the picture was altered.
     """
 
@@ -41,12 +45,17 @@ class RedirectOptions(FitOptions):
     subject: Path | None = option(
         None, "what `gazenerf fit` wrote for this photograph, instead of fitting it", metavar="FILE.safetensors"
     )
+    whole_head: bool = option(
+        False, "the field that `gazenerf fit` fine-tuned draws the whole head; needs --subject, and one photograph"
+    )
     mark: bool = option(True, "do not say in the metadata that the picture was altered", flag="--no-mark")
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.gaze is not None:
             refuse_beyond(Gaze.from_degrees(*self.gaze))
+        if self.whole_head and self.subject is None:
+            raise UserError("--whole-head needs --subject FILE, what `gazenerf fit` wrote for the photograph")
 
     @property
     def requested(self) -> str:
@@ -141,9 +150,21 @@ def make_redirect(
     refuse_outputs(photograph, [out], overwrite)
     options.refuse_nowhere()
     redirector, warnings = prepare(photograph, options, model)
-    redirected = redirector.draw(options.gazes(redirector))
+    gazes = options.gazes(redirector)
+    redirected = _whole_head(redirector, gazes) if options.whole_head else redirector.draw(gazes)
     write_altered(out, redirected.pixels, photograph, options.requested, options.mark)
     return MadeRedirect(out, redirector, redirected, warnings, time.perf_counter() - started)
+
+
+def _whole_head(redirector: Redirector, gazes: Gaze | tuple[Gaze, Gaze]) -> Redirected:
+    """The photograph with the field's head; both its eyes look along the mean of two gazes.
+
+    Raises:
+        UserError: no field was fine-tuned to the subject.
+    """
+    gaze = gazes if isinstance(gazes, Gaze) else Gaze.from_vector(np.mean([one.vector() for one in gazes], axis=0))
+    pixels = with_whole_head(redirector.pixels, fine_tuned_head(redirector.subject), gaze)
+    return Redirected(pixels, (pixels != redirector.pixels).any(axis=-1), (gaze, gaze))
 
 
 def refuse_outputs(photograph: Path, outs: Sequence[Folder], overwrite: bool) -> None:

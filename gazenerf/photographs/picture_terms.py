@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 import torch
+import torch.nn.functional as F
 
 from gazenerf.geometry import Camera
 from gazenerf.head_model.generic import METRES_PER_UNIT
@@ -24,7 +25,10 @@ OPENING_MM = 0.35
 """Standard deviation, on each axis, of the middle of an opening found in pixels."""
 
 ROBUST_GAZE = 2.0
-"""The same of a gaze that a network reads: now and then it is far off."""
+"""Deviations from which on a gaze that a network reads counts less and less: now and then it is far off."""
+
+SKIN_WEIGHT = 500.0
+"""How many independent pixels all vertices together count as: neighbours err alike."""
 
 MM_PER_UNIT = 1000.0 * METRES_PER_UNIT
 
@@ -75,6 +79,34 @@ class SeenGaze:
 
 
 @dataclass(frozen=True)
+class SeenSkin:
+    """Pixels of the skin that the fitted head is to lie over.
+
+    Attributes:
+        vertices: (N,) of the skin.
+        colours: (N, 3) sRGB from 0 to 1, as the fitted head shows them, blurred like `picture`.
+        picture: (1, 3, H, W) float64 the part of the photograph around the face, blurred.
+        to_picture: (2, 2) factor and shift per axis from the photograph's pixels to those of `picture`.
+        deviation: sRGB, what a colour may miss.
+    """
+
+    vertices: np.ndarray
+    colours: torch.Tensor
+    picture: torch.Tensor
+    to_picture: np.ndarray
+    deviation: float
+
+    def cost(self, pixels: torch.Tensor) -> torch.Tensor:
+        """Robust squares of how far the head's colours are from those of the photograph's pixels (N, 2) they lie on."""
+        factor, shift = double(self.to_picture)
+        height, width = self.picture.shape[2:]
+        at = 2.0 * (pixels * factor + shift) / double([width, height]) - 1.0
+        seen = F.grid_sample(self.picture, at[None, None], mode="bilinear", padding_mode="border", align_corners=False)
+        miss = (seen[0, :, 0].T - self.colours) / self.deviation
+        return SKIN_WEIGHT * ((1.0 + miss.square()).sqrt() - 1.0).sum(dim=1).mean()
+
+
+@dataclass(frozen=True)
 class Observed:
     """What is fitted in one picture.
 
@@ -86,6 +118,7 @@ class Observed:
         teeth_shut: Teeth fill what the lips leave open, so the jaw is shut.
         openings: Of the eyes; None where nobody looked.
         gaze: As a network reads it; None where nobody asked one.
+        skin: Pixels that the fitted head is to lie over; None where they are not compared.
     """
 
     landmarks: FaceLandmarks
@@ -95,6 +128,7 @@ class Observed:
     teeth_shut: bool = False
     openings: SeenOpenings | None = None
     gaze: SeenGaze | None = None
+    skin: SeenSkin | None = None
 
     def with_eyes(self, irises: IrisPoints | None, openings: SeenOpenings | None, gaze: SeenGaze | None) -> Observed:
         """The same picture with what its eyes tell."""
@@ -221,12 +255,18 @@ class PictureTerms:
         return total
 
     def gaze_cost(self, picture: PictureParameters) -> torch.Tensor:
-        """Robust square of how far the gaze is from what a network reads, in units of the reading's deviations."""
+        """How far the gaze is from what a network reads, in units of the reading's deviations; Cauchy's cost."""
         seen = self.observed.gaze
         if seen is None:
             return torch.zeros((), dtype=torch.float64)
         miss = (picture.gaze - double(np.array([seen.pitch, seen.yaw]))) / double(np.array(seen.deviations))
-        return 2.0 * ROBUST_GAZE**2 * ((1.0 + miss.square().sum() / ROBUST_GAZE**2).sqrt() - 1.0)
+        return ROBUST_GAZE**2 * (miss.square().sum() / ROBUST_GAZE**2).log1p()
+
+    def skin_cost(self, picture: PictureParameters, points: torch.Tensor) -> torch.Tensor:
+        """Robust squares of how far colours of the skin's vertices (N, 3) are from those of their pixels."""
+        if self.observed.skin is None:
+            return torch.zeros((), dtype=torch.float64)
+        return self.observed.skin.cost(self.project(picture, points))
 
     def distance_cost(self, picture: PictureParameters) -> torch.Tensor:
         """Squares of the distance's and, where it is known, the focal length's deviation from what is expected."""

@@ -6,6 +6,7 @@ Each picture has a camera, a gaze and an expression of its own; all share one id
   that the table tells for this pose, gaze and identity, and a combination of its error components, whose amounts are
   fitted with unit variance (docs/photos.md);
 - residuals of irises and of openings of the eyes that were found in the pixels;
+- robust differences between the colours of the skin as fitted and those of the pixels that it lies on;
 - how far the gaze is from what a network reads off the picture, robust as well;
 - squares of identity, expression, gaze and the logarithm of the distance, in units of their prior's deviation;
 - where one camera took all pictures, squares of how far their focal lengths lie apart.
@@ -143,6 +144,7 @@ class _Problem:
         self.jaw = np.array([name == "jawOpen" for name in model.expression_names])
         self.per_picture = 9 + self.sizes[1] + self.sizes[2]
         self.terms = [PictureTerms(item, table, self.points.radius) for item in self.observed]
+        self.skins = [None if item.skin is None else model.skin_points(item.skin.vertices) for item in self.observed]
 
     def parts(self, values: torch.Tensor) -> tuple[torch.Tensor, list[PictureParameters]]:
         identities, expressions, _ = self.sizes
@@ -156,12 +158,14 @@ class _Problem:
         identity, pictures = self.parts(values)
         total = (identity / IDENTITY_DEVIATION).square().sum()
         seen = double(self.deviation).clamp(min=1e-6)
-        for picture, terms in zip(pictures, self.terms, strict=True):
+        for picture, terms, skin in zip(pictures, self.terms, self.skins, strict=True):
             centres, points = self.points.eye_centres(identity), self.marks(identity, picture)
             total = total + terms.landmark_cost(picture, points, identity) + terms.iris_cost(picture, centres)
             total = total + (picture.expression / seen).square().sum() + picture.errors.square().sum()
             total = total + (picture.gaze / double(GAZE_DEVIATION)).square().sum() + terms.gaze_cost(picture)
             total = total + terms.distance_cost(picture) + terms.openings_cost(picture, points)
+            if skin is not None:
+                total = total + terms.skin_cost(picture, skin(identity, picture.expression, picture.gaze))
         if self.one_camera:
             focal = torch.stack([t.transform(p)[2] for t, p in zip(self.terms, pictures, strict=True)]).log()
             total = total + ((focal - focal.mean()) / ONE_FOCAL_DEVIATION).square().sum()

@@ -1,6 +1,6 @@
 """The fitted head model in the colours of its photograph: what a field learns a person from, from every side.
 
-Skin, teeth and tongue that the photograph shows have the colour of its pixels, light included. From there the
+Skin, teeth, tongue and hair that the photograph shows have the colour of its pixels, light included. From there the
 difference to the fitted texture and light fades into what is not seen. Eyeballs, which turn, get the photograph's
 colours ring by ring around the pupil.
 """
@@ -17,15 +17,15 @@ from scipy.sparse.linalg import splu
 from gazenerf.data.rasterizer import Raster, Rasterizer
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model.eyes import IRIS_ANGLE, PUPIL_ANGLE
-from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, FACE, MOUTH, HeadMesh, HeadModel
+from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, FACE, HAIR, MOUTH, HeadMesh, HeadModel
 from gazenerf.head_model.shading import shade
 from gazenerf.photographs.appearance import Seen
 from gazenerf.photographs.told_colours import Told, told_by
 from gazenerf.subjects import Codes
 
-STIFFNESS, FADING = 0.03, 1e-6
+STIFFNESS, FADING, FADING_OF_HAIR = 0.03, 1e-6, 1e-9
 """Of differences between neighbours, and of differences themselves, against one pixel's; together they fade over about
-170 edges."""
+170 edges, and all but not at all in hair, whose back is seldom seen and has the colour of its front."""
 
 RING, WHITE, LEAST_RING = IRIS_ANGLE / 8.0, 10, 6
 """Width in radians of the rings of an eyeball, the number of the last one, which is all that lies outside the iris, and
@@ -81,7 +81,7 @@ def teacher_from(model: HeadModel, own: Told, others: Sequence[Told] = ()) -> Te
         own, others: What the photograph and the others tell.
     """
     differences = np.zeros_like(own.wanted)
-    told = [_colour_surface(differences, own, others, part) for part in (FACE, MOUTH)]
+    told = [_colour_surface(differences, own, others, part) for part in (FACE, MOUTH, HAIR)]
     if told[0]:
         _colour_eyes(differences, own.wanted, own.mesh, own.gaze, own.shown)
     return Teacher(model, own.codes, differences)
@@ -149,7 +149,8 @@ def _continued(mesh: HeadMesh, skin: np.ndarray, part: int, trust: np.ndarray, w
     joined = sparse.coo_matrix((ones, (edges[:, 0], edges[:, 1])), shape=(len(skin), len(skin)))
     joined = joined + joined.T
     laplacian = sparse.diags(np.asarray(joined.sum(axis=1)).ravel()) - joined
-    matrix = sparse.diags(trust + FADING) + STIFFNESS * laplacian
+    fading = FADING_OF_HAIR if part == HAIR else FADING
+    matrix = sparse.diags(trust + fading) + STIFFNESS * laplacian
     return splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(
         trust[:, None] * wanted
     )

@@ -9,13 +9,16 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from gazenerf.geometry import Gaze
-from gazenerf.head_model.interface import FACE, MOUTH, HeadMesh, HeadModel
+from gazenerf.head_model.interface import FACE, HAIR, MOUTH, HeadMesh, HeadModel
 from gazenerf.head_model.shading import shade
 from gazenerf.photographs.appearance import Seen, between_lips, eye_openings, nearest_pixels, seen_vertices
 from gazenerf.subjects import Codes
 
 GRAZING, FRONTAL = 0.15, 0.45
 """Cosines between a vertex's normal and the view: pixels count not at all below the first and fully from the second."""
+
+LEAST_SPREAD, MOST_SPREADS = 3.0, 2.5
+"""Least spread of hair's colours in CIELAB, and how many spreads beside their median a colour is no more hair's."""
 
 LEAST_SEEN = 50
 """Vertices that must be seen for the photograph to say anything."""
@@ -30,7 +33,7 @@ class Told:
         mesh: The head as the photograph shows it.
         wanted: (V, 3) sRGB, the photograph's colours at the vertices' places less the shaded ones; 0 where it tells
             nothing at all.
-        trust: (V,) 0 to 1, of the skin and of what lies behind the lips.
+        trust: (V,) 0 to 1, of the skin, of what lies behind the lips, and of hair.
         shown: (V,) bool, vertices between the lids that are seen.
     """
 
@@ -64,8 +67,25 @@ def told_by(model: HeadModel, codes: Codes, gaze: Gaze, seen: Seen) -> Told:
     at = pixels[:, ::-1].T - 0.5
     channels = np.moveaxis(seen.image.astype(np.float32) / 255.0, -1, 0)
     observed = np.stack([map_coordinates(one, at, order=1, mode="nearest") for one in channels], axis=-1)
+    hair = np.unique(mesh.part_faces(HAIR))
+    if len(hair):
+        trust[hair] *= _like_hair(observed[hair], trust[hair], mesh.vertices[hair, 1] > 0.0)
     shown = visible & (cosine > GRAZING) & _inside(eye_openings(seen.landmarks, seen.image.shape[:2]), pixels)
     return Told(codes, gaze, mesh, observed - colours, trust, shown)
+
+
+def _like_hair(colours: np.ndarray, trust: np.ndarray, above: np.ndarray) -> np.ndarray:
+    """(N,) bool: whether what a photograph shows at vertices of hair (N, 3) has the colour of hair.
+
+    Low down it may be a collar instead. Hair is what is seen of it above the eyes, `above` (N,).
+    """
+    surely = above & (trust > 0.5)
+    if np.count_nonzero(surely) < LEAST_SEEN:
+        return np.ones(len(colours), bool)
+    lab = cv2.cvtColor(colours[None].astype(np.float32), cv2.COLOR_RGB2LAB)[0]
+    middle = np.median(lab[surely], axis=0)
+    spread = np.maximum(1.48 * np.median(np.abs(lab[surely] - middle), axis=0), LEAST_SPREAD)
+    return above | (np.abs(lab - middle) < MOST_SPREADS * spread).all(axis=1)
 
 
 def person_mask(seen: Seen) -> np.ndarray:
