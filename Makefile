@@ -11,7 +11,7 @@ TORCH_SOURCE := $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX))
 .DELETE_ON_ERROR:
 
 demo: setup
-	$(BIN)/gazenerf demo --out $(OUT) --overwrite
+	$(BIN)/gazenerf demo --subject jana --out $(OUT) --overwrite
 
 # test files run side by side, one thread each; one after the other: make test WORKERS=0
 WORKERS ?= logical
@@ -31,10 +31,10 @@ dry-run: .venv/.dev .venv/.libraries
 
 # the pictures of README.md, made by the commands
 pictures: setup .venv/.dev
-	$(BIN)/gazenerf orbit --out docs/images/orbit.webp --size 384 --gaze-path circle --frames 40 --fps 14 --overwrite
-	$(BIN)/gazenerf orbit --out docs/images/panels.webp --panels image face eyes depth normals --size 192 \
+	$(BIN)/gazenerf orbit --subject jana --out docs/images/orbit.webp --size 384 --gaze-path circle --frames 40 --fps 14 --overwrite
+	$(BIN)/gazenerf orbit --subject jana --out docs/images/panels.webp --panels image face eyes depth normals --size 192 \
 		--gaze-path sweep --frames 24 --fps 12 --overwrite
-	$(BIN)/gazenerf sheet --out docs/images/gaze-grid.png --kind gaze-grid --size 384 --overwrite
+	$(BIN)/gazenerf sheet --subject jana --out docs/images/gaze-grid.png --kind gaze-grid --size 384 --overwrite
 	rm docs/images/*.webp.json
 	$(BIN)/python scripts/build_viewer_pictures.py
 	$(BIN)/python scripts/build_command_reference.py

@@ -1,6 +1,7 @@
 """People whom no field has seen, drawn by the head model and by a field beside each other: how strangers come out.
 
 python scripts/build_stranger_pictures.py docs/images/strangers.webp --checkpoint portrait-sdf
+python scripts/build_stranger_pictures.py docs/images/cuts.webp --hair --checkpoint portrait-sdf
 python scripts/build_stranger_pictures.py docs/images/eyes.webp --eyes --checkpoint portrait portrait-sdf
 
 Without --eyes: twelve people from three sides, the head model above and the first field below. With --eyes: the eyes
@@ -11,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +22,7 @@ from gazenerf.checkpoints import load_field
 from gazenerf.data.rasterizer import Rasterizer
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model import load_head_model
-from gazenerf.head_model.sampling import sample_expression, sample_person
+from gazenerf.head_model.sampling import sample_expression, sample_person, with_hair
 from gazenerf.heads import Head
 from gazenerf.subjects import Codes, Subject
 
@@ -37,14 +39,15 @@ Draw = Callable[[Codes, Gaze, Camera], np.ndarray]
 """(codes, gaze, camera) to a picture (H, W, 3) in [0, 1]."""
 
 
-def people() -> list[Codes]:
-    """The strangers, each with an expression."""
+def people(hair: bool = False) -> list[Codes]:
+    """The strangers, each with an expression, and with a cut of hair where it is asked for."""
     model, found = load_head_model(), []
     for number in range(PEOPLE):
         rng = np.random.default_rng((SEED, number))
         codes = sample_person(rng, model)
         expression = sample_expression(rng, model)
-        found.append(Codes(codes.identity, expression, codes.texture, codes.illumination))
+        codes = replace(codes, expression=expression)
+        found.append(with_hair(np.random.default_rng((SEED, number, 1)), model, codes) if hair else codes)
     return found
 
 
@@ -70,10 +73,10 @@ def bytes_of(image: np.ndarray, width: int, height: int) -> np.ndarray:
     return np.asarray(whole.resize((width, height), Image.Resampling.LANCZOS))
 
 
-def strangers(truth: Draw, field: Draw) -> np.ndarray:
+def strangers(truth: Draw, field: Draw, hair: bool) -> np.ndarray:
     """Blocks of two rows, the head model and the field, for each person."""
     blocks = []
-    for codes in people():
+    for codes in people(hair):
         rows = []
         for draw in (truth, field):
             cameras = [Camera.orbit(yaw=np.radians(yaw), size=2 * SHOWN) for yaw in YAWS]
@@ -106,12 +109,13 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--checkpoint", nargs="+", required=True)
     parser.add_argument("--eyes", action="store_true")
+    parser.add_argument("--hair", action="store_true", help="with cuts of hair")
     arguments = parser.parse_args()
     fields = [by_field(checkpoint) for checkpoint in arguments.checkpoint]
     size = 512 if arguments.eyes else 2 * SHOWN
     with Rasterizer((size, size)) as rasterizer:
         truth = by_head_model(rasterizer)
-        picture = eyes_of(truth, fields) if arguments.eyes else strangers(truth, fields[0])
+        picture = eyes_of(truth, fields) if arguments.eyes else strangers(truth, fields[0], arguments.hair)
     Image.fromarray(picture).save(arguments.out, quality=85)
 
 

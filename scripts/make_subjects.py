@@ -1,16 +1,16 @@
-"""Write the bundled subjects: the people of a synthetic set, at rest, as the field was trained on them.
+"""Write the bundled subjects: the people of a synthetic set, at rest, as the field was trained on them, some with hair.
 
-python scripts/make_subjects.py --data captures --trained 0 1 2 3 4 5 --held-out 12 13
+python scripts/make_subjects.py --seed 1 --size 512 --trained 0 1 2 3 4 5 6 7 9 10 --held-out 12 13
 """
 
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from gazenerf.data import CaptureSet
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model import load_head_model
 from gazenerf.head_model.sampling import sample_person
@@ -20,29 +20,41 @@ FOLDER = Path(__file__).parent.parent / "gazenerf" / "assets" / "subjects"
 NAMES = ("ada", "ben", "cleo", "dan", "eve", "finn", "gus", "hana", "ivo", "jana", "kai", "lea", "mia", "noa")
 """Person index to a name; the first is the default subject."""
 
+HAIR: dict[int, dict[str, float]] = {
+    6: {"crop": 0.9, "top": 0.5, "parting": 0.3, "beard": 1.0},
+    7: {"crop": 0.4, "bob": 1.05, "fringe": 1.0, "parting": 0.2},
+    9: {"crop": 0.5, "bob": 1.0, "long": 1.0, "parting": 0.4},
+    10: {"crop": 0.7, "round": 0.4, "curls": 0.9},
+}
+"""Hair codes of those who have hair with volume; in training their hair was painted."""
+
 
 def main() -> None:
     """Write one file a person."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--seed", type=int, default=1, help="of the set")
+    parser.add_argument("--size", type=int, default=512, help="of its pictures")
     parser.add_argument("--trained", type=int, nargs="+", required=True)
     parser.add_argument("--held-out", type=int, nargs="+", default=[])
     parser.add_argument("--out", type=Path, default=FOLDER)
     args = parser.parse_args()
-    manifest = CaptureSet(args.data).manifest
     model = load_head_model()
     for person in (*args.trained, *args.held_out):
-        codes = sample_person(np.random.default_rng((manifest["seed"], person)), model)
+        codes = sample_person(np.random.default_rng((args.seed, person)), model)
+        hair = np.zeros(len(model.hair_names) if person in HAIR else 0, np.float32)
+        for name, amount in HAIR.get(person, {}).items():
+            hair[model.hair_names.index(name)] = amount
+        codes = replace(codes, hair=hair)
         subject = Subject(
             NAMES[person],
             codes,
             head_codes=codes,
-            camera=Camera.neutral(manifest["size"]),
+            camera=Camera.neutral(args.size),
             gaze=Gaze(),
             provenance={
                 "kind": "synthetic person",
-                "head_model": manifest["head_model"],
-                "seed": manifest["seed"],
+                "head_model": model.name,
+                "seed": args.seed,
                 "person": person,
                 "trained": person in args.trained,
             },

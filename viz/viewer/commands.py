@@ -9,7 +9,7 @@ from pathlib import Path
 
 from gazenerf.geometry import Gaze
 from gazenerf.heads.interface import Part
-from gazenerf.subjects import Subject, bundled_subjects, load_subject
+from gazenerf.subjects import CODES, HAIR, Subject, bundled_subjects, load_subject
 from gazenerf.viz.viewer.gazes import GazeChoice
 
 
@@ -45,8 +45,7 @@ def subject_word(subject: Subject, folder: Path) -> str:
 
 def _same_codes(a: Subject, b: Subject) -> bool:
     return a.codes.sizes == b.codes.sizes and all(
-        getattr(a.codes, name).tobytes() == getattr(b.codes, name).tobytes()
-        for name in ("identity", "expression", "texture", "illumination")
+        getattr(a.codes, name).tobytes() == getattr(b.codes, name).tobytes() for name in (*CODES, HAIR)
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from gazenerf.field.config import FieldConfig
 from gazenerf.heads import Head
 from gazenerf.heads.baked import BakedHead
+from gazenerf.heads.hair import takes_hair
 from gazenerf.heads.interface import HeadField
 
 USUAL_SIZE = 512
@@ -27,6 +28,12 @@ def turns_eyes(head: HeadField) -> bool:
     """Whether pictures depend on the gaze at all; those of a HeadNeRF do not."""
     config = _config(head)
     return config is None or config.gaze_input or config.eye_motion != "none"
+
+
+def has_hair(head: HeadField) -> bool:
+    """Whether the bundled head model's hair can be put on the field."""
+    config = _config(head)
+    return config is not None and takes_hair(config)
 
 
 def _config(head: HeadField) -> FieldConfig | None:

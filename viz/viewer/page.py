@@ -9,7 +9,7 @@ import viser
 from gazenerf.geometry.cameras import NEUTRAL_DISTANCE, NEUTRAL_FOV
 from gazenerf.heads.interface import HeadField
 from gazenerf.viz.viewer.commands import Source
-from gazenerf.viz.viewer.field_facts import turns_eyes
+from gazenerf.viz.viewer.field_facts import has_hair, turns_eyes
 from gazenerf.viz.viewer.gaze_controls import GazeControls
 from gazenerf.viz.viewer.layer_controls import LayerControls
 from gazenerf.viz.viewer.make_controls import MakeControls
@@ -46,7 +46,7 @@ class Page:
         with tabs.add_tab("Gaze"):
             self.gaze = GazeControls(server, self.scene, head.trained_range, turns_eyes(head))
         with tabs.add_tab("Person"):
-            self.person = PersonControls(server, self.scene, self.notify)
+            self.person = PersonControls(server, self.scene, self.notify, has_hair(head))
         with tabs.add_tab("Layers"):
             self.layers = LayerControls(
                 server, self.scene, self.paths, lambda text: self.notify(None, text), self._refresh

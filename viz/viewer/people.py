@@ -13,8 +13,8 @@ import numpy as np
 from gazenerf.errors import UserError
 from gazenerf.head_model import GenericHead, ParametricHead, load_head_model
 from gazenerf.head_model.eyes import IRIS_CODES
-from gazenerf.head_model.sampling import sample_person
-from gazenerf.subjects import MAX_SUBJECT_BYTES, Codes, Subject
+from gazenerf.head_model.sampling import sample_person, with_hair
+from gazenerf.subjects import HAIR, MAX_SUBJECT_BYTES, Codes, Subject
 
 IDENTITIES, EXPRESSIONS, TEXTURES = 10, 20, 6
 """Sliders of each kind, the strongest codes first; the iris has its own."""
@@ -28,12 +28,16 @@ REACH = 3.0
 """Identity and texture sliders go this far either way; people are drawn from within two."""
 
 
+MOST_HAIR, LEAST_HAIR = 1.5, {"parting": -1.5}
+"""Hair sliders go from 0 or from these to the first."""
+
+
 @dataclass(frozen=True)
 class CodeSlider:
     """A number of a subject that can be changed.
 
     Attributes:
-        code: `identity`, `expression`, `texture` or `illumination`.
+        code: `identity`, `expression`, `texture`, `illumination` or `hair`.
         index: Of the number in its code; of illumination, of the spherical harmonic.
         label: What the page calls it.
         low, high: Ends of the slider.
@@ -49,7 +53,8 @@ class CodeSlider:
         """What it is in some codes; for light the mean of red, green and blue."""
         if self.code == "illumination":
             return float(codes.illumination.reshape(9, 3)[self.index].mean())
-        return float(getattr(codes, self.code)[self.index])
+        values = getattr(codes, self.code)
+        return float(values[self.index]) if values.size else 0.0
 
     def set(self, codes: Codes, value: float) -> Codes:
         """The codes with another value.
@@ -60,6 +65,8 @@ class CodeSlider:
         if not np.isfinite(value):
             raise ValueError(f"{self.label} must be a finite number")
         changed = np.array(getattr(codes, self.code))
+        if self.code == HAIR and not changed.size:
+            changed = np.zeros(len(load_head_model().hair_names), np.float32)
         if self.code == "illumination":
             rows = changed.reshape(9, 3)
             rows[self.index] += value - rows[self.index].mean()
@@ -68,14 +75,24 @@ class CodeSlider:
         return replace(codes, **{self.code: changed})
 
 
-def code_sliders(sizes: tuple[int, int, int, int]) -> tuple[CodeSlider, ...]:
+def code_sliders(sizes: tuple[int, int, int, int], hair: bool = False) -> tuple[CodeSlider, ...]:
     """The strongest codes of subjects of some sizes (identity, expression, texture, illumination).
 
     Where the sizes are the bundled head model's, it says which codes move most and what expressions are called;
     else the first of each kind are taken.
+
+    Args:
+        sizes: Of the subjects' codes.
+        hair: With the bundled head model's cuts of hair, for fields that take them.
     """
     model = load_head_model()
-    return _model_sliders(model) if sizes == model.code_sizes else _plain_sliders(sizes)
+    if sizes != model.code_sizes:
+        return _plain_sliders(sizes)
+    return (*_model_sliders(model), *(_hair_sliders(model.hair_names) if hair else ()))
+
+
+def _hair_sliders(names: tuple[str, ...]) -> list[CodeSlider]:
+    return [CodeSlider(HAIR, i, name, LEAST_HAIR.get(name, 0.0), MOST_HAIR) for i, name in enumerate(names)]
 
 
 @lru_cache(maxsize=1)
@@ -135,8 +152,8 @@ def moved(subject: Subject, values: Mapping[CodeSlider, float]) -> Subject:
     return replace(subject, codes=codes, head_codes=head_codes, provenance=about | {"changed_by": "gazenerf view"})
 
 
-def random_person(seed: int, sizes: tuple[int, int, int, int]) -> Subject:
-    """A person drawn from the bundled head model by a seed.
+def random_person(seed: int, sizes: tuple[int, int, int, int], hair: bool = False) -> Subject:
+    """A person drawn from the bundled head model by a seed, with a cut of hair for fields that take one.
 
     Raises:
         UserError: a field of these code sizes was not made from that model.
@@ -144,7 +161,10 @@ def random_person(seed: int, sizes: tuple[int, int, int, int]) -> Subject:
     model: ParametricHead | GenericHead = load_head_model()
     if sizes != model.code_sizes:
         raise UserError("people can be drawn for fields of the bundled head model only; this one takes other codes")
-    codes = sample_person(np.random.default_rng(seed), model)
+    rng = np.random.default_rng(seed)
+    codes = sample_person(rng, model)
+    if hair:
+        codes = with_hair(rng, model, codes)
     return Subject(f"random-{seed}", codes, codes, provenance={"source": "drawn at random", "seed": seed})
 
 

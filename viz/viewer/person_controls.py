@@ -14,7 +14,10 @@ from gazenerf.viz.viewer.commands import safe_name
 from gazenerf.viz.viewer.people import CodeSlider, code_sliders, moved, random_person, read_upload, subject_file
 from gazenerf.viz.viewer.scene import Scene
 
-FOLDERS = {"expression": "Expression", "identity": "Shape", "texture": "Skin, hair and eyes", "illumination": "Light"}
+FOLDERS = {
+    "expression": "Expression", "identity": "Shape", "texture": "Skin, hair and eyes", "hair": "Cut of hair",
+    "illumination": "Light",
+}  # fmt: skip
 """Code to the folder that holds its sliders."""
 
 OWN = "(own)"
@@ -31,10 +34,11 @@ class PersonControls:
         server: Where they are shown; the container in which this is called.
         scene: What they change.
         notify: Says what was wrong.
+        hair: The field takes the head model's hair.
     """
 
-    def __init__(self, server: viser.ViserServer, scene: Scene, notify: Notify) -> None:
-        self._server, self._scene, self._notify = server, scene, notify
+    def __init__(self, server: viser.ViserServer, scene: Scene, notify: Notify, hair: bool = False) -> None:
+        self._server, self._scene, self._notify, self._hair = server, scene, notify, hair
         self._lock = threading.RLock()
         self._chosen = scene.state.subject
         self._sizes = self._chosen.codes.sizes
@@ -81,9 +85,12 @@ class PersonControls:
     def _add_sliders(self) -> dict[CodeSlider, viser.GuiSliderHandle[float]]:
         found = {}
         subject = self._scene.state.subject
+        sliders = code_sliders(self._sizes, self._hair)
         for code, label in FOLDERS.items():
+            if not any(one.code == code for one in sliders):
+                continue
             with self._server.gui.add_folder(label, expand_by_default=False):
-                for slider in (one for one in code_sliders(self._sizes) if one.code == code):
+                for slider in (one for one in sliders if one.code == code):
                     value = slider.value(subject.codes)
                     low, high = min(slider.low, value), max(slider.high, value)
                     handle = self._server.gui.add_slider(slider.label, low, high, 0.01, value)
@@ -117,7 +124,7 @@ class PersonControls:
     def _draw(self, event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
         with self._lock:
             seed = int(self.seed.value)
-            self._try(event, lambda: self.choose(random_person(seed, self._sizes)))
+            self._try(event, lambda: self.choose(random_person(seed, self._sizes, self._hair)))
             self.seed.value = seed + 1
 
     def _save(self, event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:

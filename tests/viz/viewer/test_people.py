@@ -69,6 +69,20 @@ def test_the_same_seed_is_the_same_person():
         random_person(7, (1, 2, 3, 27))
 
 
+def test_cuts_of_hair_have_sliders_where_the_field_takes_them():
+    sliders = {slider.label: slider for slider in code_sliders(ADA.codes.sizes, hair=True) if slider.code == "hair"}
+    assert tuple(sliders) == load_head_model().hair_names and not any(slider.code == "hair" for slider in SLIDERS)
+    assert not any(slider.code == "hair" for slider in code_sliders((3, 79, 4, 27), hair=True))
+    bob = sliders["bob"]
+    assert ADA.codes.hair.size == 0 and bob.value(ADA.codes) == 0.0
+    after = moved(ADA, {bob: 0.8})
+    assert after.head_codes is not None
+    for codes in (after.codes, after.head_codes):
+        assert bob.value(codes) == pytest.approx(0.8) and np.count_nonzero(codes.hair) == 1
+    plain, haired = random_person(4, ADA.codes.sizes), [random_person(k, ADA.codes.sizes, hair=True) for k in range(9)]
+    assert plain.codes.hair.size == 0 and any(person.codes.hair.any() for person in haired)
+
+
 def test_what_is_saved_is_read_back():
     changed = replace(moved(ADA, {BY_LABEL["jawOpen"]: 0.7}), name="eve's <b>sister</b>")
     found = read_upload("mine.safetensors", subject_file(changed))
