@@ -11,6 +11,9 @@ from scipy import sparse
 
 from gazenerf.head_model.model import EYE_RADIUS
 
+HAIRLINE = ([0, 30, 52, 70, 84, 93, 110, 140, 180], [0.74, 0.72, 0.6, 0.38, 0.02, -0.05, -0.3, -0.52, -0.6])
+"""Degrees from the front, and how high the painted hair begins there."""
+
 
 def smoothstep(low: float, high: float, values: np.ndarray) -> np.ndarray:
     """Cubic step from 0 at `low` to 1 at `high`."""
@@ -214,10 +217,7 @@ def paint(
     strands = 0.75 + 0.25 * noise(fine, 0.03, 11, (1.6, 0.5, 0.5))
     brow = np.clip(brow * np.clip(strands, 0.3, 1.2), 0, 1)
     turn = np.abs(np.rad2deg(np.arctan2(x, z + 0.15)))
-    hairline = np.interp(
-        turn, [0, 30, 52, 70, 84, 93, 110, 140, 180], [0.74, 0.72, 0.6, 0.38, 0.02, -0.05, -0.3, -0.52, -0.6]
-    )
-    edge = y - hairline + 0.02 * noise(fine, 0.07, 3) + 0.015 * noise(fine, 0.03, 4)
+    edge = y - np.interp(turn, *HAIRLINE) + 0.02 * noise(fine, 0.07, 3) + 0.015 * noise(fine, 0.03, 4)
     hair = smoothstep(-0.05, 0.1, edge) * (1 - ears)
     hair_strands = 1.0 + 0.16 * noise(fine, 0.05, 21, (1, 0.3, 1)) + 0.08 * noise(fine, 0.02, 22)
     tip = fine[marks[30]]

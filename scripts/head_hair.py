@@ -16,7 +16,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from head_appearance import noise, smoothstep  # beside this script
+from head_appearance import HAIRLINE, noise, smoothstep  # beside this script
 from scipy import ndimage, sparse
 from scipy.spatial import cKDTree
 
@@ -24,7 +24,7 @@ from gazenerf.files import whole_file
 from gazenerf.geometry import Gaze
 from gazenerf.head_model.assets import BUNDLED, read_arrays
 from gazenerf.head_model.model import ParametricHead
-from gazenerf.head_model.ray_scenes import ray_scene
+from gazenerf.head_model.ray_scenes import ray_scene, tensor
 from gazenerf.subjects import Codes
 
 COLUMNS, DOME_ROWS, NECK_ROWS = 256, 64, 60
@@ -44,9 +44,6 @@ FOLLOW, NEIGHBOURS = 9 * MM, 16
 """Deviation of the weights by which a vertex follows control vertices of the skin, and how many they are."""
 
 NAMES = ("crop", "top", "round", "fringe", "bob", "long", "parting", "curls", "beard")
-
-HAIRLINE = ([0, 30, 52, 70, 84, 93, 110, 140, 180], [0.74, 0.72, 0.6, 0.38, 0.02, -0.05, -0.3, -0.52, -0.6])
-"""Degrees from the front, and how high the painted hair begins there."""
 
 DARK_BROWN = (0.05, 0.034, 0.025)
 TONES = {6: (0.045, 0.027, 0.011), 7: (0.03, 0.028, 0.026)}
@@ -80,9 +77,7 @@ class Grid:
         kept = faces[~ears[faces].any(axis=1)]
         reach = 4.0
         rays = np.concatenate([self.origin + reach * self.direction, -self.direction], axis=-1)
-        import open3d as o3d
-
-        hit = ray_scene(skin, kept).cast_rays(o3d.core.Tensor(rays.astype(np.float32)))["t_hit"].numpy()
+        hit = ray_scene(skin, kept).cast_rays(tensor(rays))["t_hit"].numpy()
         found = reach - hit
         found[~np.isfinite(hit) | (found <= 0.1)] = np.nan
         self.hole = smoothed((~np.isfinite(found)).astype(float), 3.0)

@@ -13,9 +13,8 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from gazenerf.checkpoints import load_field, save_field
+from gazenerf.checkpoints import field_from_weights, load_field, save_field
 from gazenerf.errors import UserError
-from gazenerf.field.model import TwoStreamField
 from gazenerf.training.texture_detail import DetailOptions, learn_texture_detail
 
 
@@ -36,9 +35,8 @@ def main() -> None:
     options = DetailOptions(people=arguments.people, rank=arguments.rank)
     detailed = learn_texture_detail(field, options)
     if arguments.spread is not None:
-        spread = TwoStreamField(replace(detailed.config, feature_spread=arguments.spread))
-        spread.load_state_dict(detailed.state_dict())
-        detailed = spread
+        config = replace(detailed.config, feature_spread=arguments.spread)
+        detailed = field_from_weights(detailed.state_dict(), config, arguments.checkpoint)
     detailed.about = {**field.about, "detail": {"people": options.people, "rank": options.rank}}
     save_field(detailed, arguments.out, half=arguments.half)
     print(f"wrote {arguments.out}")

@@ -13,6 +13,7 @@ import numpy as np
 
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model import load_head_model
+from gazenerf.head_model.hair import hair_code
 from gazenerf.head_model.sampling import sample_person
 from gazenerf.subjects import Subject
 
@@ -41,10 +42,8 @@ def main() -> None:
     model = load_head_model()
     for person in (*args.trained, *args.held_out):
         codes = sample_person(np.random.default_rng((args.seed, person)), model)
-        hair = np.zeros(len(model.hair_names) if person in HAIR else 0, np.float32)
-        for name, amount in HAIR.get(person, {}).items():
-            hair[model.hair_names.index(name)] = amount
-        codes = replace(codes, hair=hair)
+        if person in HAIR:
+            codes = replace(codes, hair=hair_code(model.hair_names, HAIR[person]))
         subject = Subject(
             NAMES[person],
             codes,

@@ -7,6 +7,7 @@ import zlib
 from pathlib import Path
 
 import numpy as np
+from scipy import sparse
 
 from gazenerf.errors import UserError
 from gazenerf.files import reading_numpy
@@ -47,3 +48,27 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             raise UserError(f"{path}: `{key}` holds NaN or infinite values")
     return arrays
+
+
+def mixture_of(data: dict[str, np.ndarray], part: str, shape: tuple[int, int]) -> sparse.csr_matrix:
+    """The sparse float32 matrix of a part of an asset, by which its vertices follow control vertices.
+
+    Raises:
+        KeyError, ValueError, IndexError: its arrays are missing or do not fit together.
+    """
+    columns, rows = data[f"{part}_columns"].astype(np.int64), data[f"{part}_rows"].astype(np.int64)
+    mix = sparse.csr_matrix((data[f"{part}_mix"].astype(np.float32), columns, rows), shape)
+    mix.check_format(full_check=True)
+    return mix
+
+
+def faces_of(data: dict[str, np.ndarray], part: str, vertices: int) -> np.ndarray:
+    """(F, 3) int32 of a part of an asset that has so many vertices.
+
+    Raises:
+        KeyError, ValueError: they are missing, or name vertices that are not there.
+    """
+    faces = data[f"{part}_faces"].astype(np.int32)
+    if len(faces) and not (faces.min() >= 0 and faces.max() < vertices):
+        raise ValueError(f"{part}_faces name vertices that are not there")
+    return faces

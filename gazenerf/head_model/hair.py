@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
+
+from gazenerf.head_model.assets import faces_of, mixture_of
 
 SHOWN, FULL = -0.02, 0.1
 """Height over the bare surface, world units, at which hair begins to see its surroundings, and at which it sees all of
@@ -16,6 +19,11 @@ DARKEST, FURROW = 0.45, 0.25
 
 LEAST, MOST = 0.01, 0.9
 """Albedo is clipped to these."""
+
+
+def hair_code(names: Sequence[str], amounts: Mapping[str, float]) -> np.ndarray:
+    """(H,) float32 hair code of amounts by name; what is not named is 0, names that a model lacks are left out."""
+    return np.array([amounts.get(name, 0.0) for name in names], np.float32)
 
 
 @dataclass(frozen=True)
@@ -54,14 +62,11 @@ class Hair:
         """
         if "hair_template" not in data:
             return None
-        template, faces = data["hair_template"].astype(np.float32), data["hair_faces"].astype(np.int32)
+        template = data["hair_template"].astype(np.float32)
         count, control = len(template), len(data["template"])
+        faces = faces_of(data, "hair", count)
         added = data["hair_added"].astype(np.float32) * data["hair_scale"].astype(np.float32)[:, None]
-        columns, rows = data["hair_columns"].astype(np.int64), data["hair_rows"].astype(np.int64)
-        mix = sparse.csr_matrix((data["hair_mix"].astype(np.float32), columns, rows), (count, control))
-        mix.check_format(full_check=True)
-        if len(faces) and not (faces.min() >= 0 and faces.max() < count):
-            raise ValueError("hair_faces name vertices that are not there")
+        mix = mixture_of(data, "hair", (count, control))
         direction = data["hair_direction"].astype(np.float32)
         tone, relief = data["hair_tone"].astype(np.float32), data["hair_relief"].astype(np.float32) / 127.0
         mean, basis = data["hair_mean"].astype(np.float32), data["hair_basis"].astype(np.float32)

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
+from gazenerf.head_model.assets import faces_of, mixture_of
+
 CORNERS = (60, 64)
 UPPER_LIP, LOWER_LIP = (61, 62, 63), (67, 66, 65)
 """Standard landmarks: the corners of the inner lips, and what lies between on each lip, the subject's right first."""
@@ -47,13 +49,8 @@ class Mouth:
         """
         if "mouth_template" not in data:
             return None
-        template, faces = data["mouth_template"].astype(np.float32), data["mouth_faces"].astype(np.int32)
-        albedo = data["mouth_albedo"].astype(np.float32)
-        columns, rows = data["mouth_columns"].astype(np.int64), data["mouth_rows"].astype(np.int64)
-        mix = sparse.csr_matrix((data["mouth_mix"], columns, rows), (len(albedo), len(template)))
-        mix.check_format(full_check=True)
-        if len(faces) and not (faces.min() >= 0 and faces.max() < len(albedo)):
-            raise ValueError("mouth_faces name vertices that are not there")
+        template, albedo = data["mouth_template"].astype(np.float32), data["mouth_albedo"].astype(np.float32)
+        mix, faces = mixture_of(data, "mouth", (len(albedo), len(template))), faces_of(data, "mouth", len(albedo))
         identity, expression = (data[f"mouth_{name}"].astype(np.float32) for name in ("identity", "expression"))
         for name, offsets in (("identity", identity), ("expression", expression)):
             if offsets.shape != (len(data[name]), *template.shape):

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from gazenerf.geometry import Camera
+
 
 def ray_scene(vertices: np.ndarray, *parts: np.ndarray) -> Any:
     """A scene of triangles; its geometries are numbered as the parts are given.
@@ -27,3 +29,8 @@ def tensor(values: np.ndarray, kind: type = np.float32) -> Any:
     from open3d import core
 
     return core.Tensor.from_numpy(np.ascontiguousarray(values, kind))
+
+
+def rays_of(camera: Camera) -> Any:
+    """(H, W, 6) rays through a camera's pixel centres, as open3d casts them."""
+    return tensor(np.concatenate(camera.rays(), axis=-1))

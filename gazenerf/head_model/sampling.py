@@ -8,6 +8,7 @@ import numpy as np
 
 from gazenerf.head_model.eyes import IRIS_CODES
 from gazenerf.head_model.generic import GenericHead
+from gazenerf.head_model.hair import hair_code
 from gazenerf.head_model.interface import HeadModel
 from gazenerf.head_model.shading import sample_illumination
 from gazenerf.subjects import Codes
@@ -52,15 +53,8 @@ def sample_person(rng: np.random.Generator, model: HeadModel) -> Codes:
 def sample_hair(rng: np.random.Generator, model: HeadModel) -> np.ndarray:
     """(H,) a hair code: shaved or painted hair, crops, hair with volume, curls, fringes, hair over the ears or to the
     neck, and beards; empty for models without hair."""
-    out = np.zeros(len(model.hair_names), np.float32)
-    index = {name: i for i, name in enumerate(model.hair_names)}
-    if not index:
-        return out
-
-    def put(**amounts: float) -> None:
-        for name, amount in amounts.items():
-            out[index[name]] = amount
-
+    found: dict[str, float] = {}
+    put = found.update
     cut = rng.choice(
         ("shaved", "crop", "top", "round", "fringe", "bob", "long"), p=(0.16, 0.2, 0.16, 0.1, 0.1, 0.14, 0.14)
     )
@@ -80,7 +74,7 @@ def sample_hair(rng: np.random.Generator, model: HeadModel) -> np.ndarray:
         put(curls=rng.uniform(0.2, 0.7))
     if cut not in ("bob", "fringe") and rng.random() < 0.25:
         put(beard=rng.uniform(0.7, 1.3))
-    return out
+    return hair_code(model.hair_names, found)
 
 
 def with_hair(rng: np.random.Generator, model: HeadModel, person: Codes) -> Codes:

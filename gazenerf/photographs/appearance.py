@@ -71,9 +71,14 @@ def face_oval(landmarks: FaceLandmarks, shape: tuple[int, int]) -> np.ndarray:
 
 def above_chin(mesh: HeadMesh, camera: Camera, share: float = 1.0) -> np.ndarray:
     """(H, W) bool: pixels above the chin, or a share of the way from the brows to it, along the line between them."""
+    return below_chin(mesh, camera, share) < 0.0
+
+
+def below_chin(mesh: HeadMesh, camera: Camera, share: float = 1.0) -> np.ndarray:
+    """(H, W) pixels by which each lies below the chin, or a share of the way from the brows to it, along that line."""
     chin, brows = camera.project(np.stack([mesh.landmarks["8"], mesh.landmarks["27"]]).astype(np.float64))[0]
     down = (chin - brows) / max(float(np.linalg.norm(chin - brows)), 1e-9)
-    return (camera.pixel_centres() - (brows + share * (chin - brows))) @ down < 0.0
+    return (camera.pixel_centres() - (brows + share * (chin - brows))) @ down
 
 
 def skin_mask(seen: Seen) -> np.ndarray:

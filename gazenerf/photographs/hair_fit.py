@@ -6,14 +6,16 @@ what the head model's hair covers at each pixel, and the hair codes that miss le
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
 
 from gazenerf.geometry import Camera, Gaze
+from gazenerf.head_model.hair import hair_code
 from gazenerf.head_model.interface import FACE, HAIR, HeadModel
-from gazenerf.head_model.ray_scenes import ray_scene, tensor
+from gazenerf.head_model.ray_scenes import ray_scene, rays_of
 from gazenerf.photographs.appearance import above_chin, face_oval
 from gazenerf.photographs.landmarks import FaceLandmarks
 from gazenerf.subjects import Codes
@@ -69,18 +71,18 @@ class _Wanted:
     Attributes:
         hair: (H, W) 0 to 1, how likely a pixel shows hair.
         weight: (H, W) of each pixel.
-        rays: (H, W, 6) through pixel centres.
+        rays: Through pixel centres, see `rays_of`.
         skin: (H, W) distance of the head without hair; infinite beside it.
     """
 
     hair: np.ndarray
     weight: np.ndarray
-    rays: np.ndarray
+    rays: Any
     skin: np.ndarray
 
     def miss(self, vertices: np.ndarray, faces: np.ndarray) -> float:
         """Weighted pixels at which a hair surface covers what is no hair, or leaves out what is."""
-        hit = ray_scene(vertices, faces).cast_rays(tensor(self.rays))["t_hit"].numpy()
+        hit = ray_scene(vertices, faces).cast_rays(self.rays)["t_hit"].numpy()
         return float((self.weight * np.abs((hit < self.skin) - self.hair)).sum())
 
 
@@ -116,18 +118,13 @@ def fit_hair(
     def cost(hair: np.ndarray) -> float:
         if not hair.any():
             return float((wanted.weight * wanted.hair).sum())
-        mesh = model.mesh(Codes(codes.identity, codes.expression, codes.texture, codes.illumination, hair), gaze)
+        mesh = model.mesh(replace(codes, hair=hair), gaze)
         return wanted.miss(mesh.vertices, mesh.part_faces(HAIR)) + KEEP * scale * float(np.square(hair).sum())
 
-    def of(style: dict[str, float]) -> np.ndarray:
-        hair = np.zeros(len(index), np.float32)
-        for name, amount in style.items():
-            hair[index[name]] = amount
-        return hair
-
-    known = [of({name: amount for name, amount in style.items() if name in index}) for style in STYLES]
-    best, least = of({}), cost(of({}))
-    for hair in known:
+    best = hair_code(model.hair_names, {})
+    least = cost(best)
+    for style in STYLES:
+        hair = hair_code(model.hair_names, style)
         if (found := cost(hair)) < least:
             best, least = hair, found
     for step in STEPS:
@@ -165,11 +162,9 @@ def _wanted(
     def part(array: np.ndarray) -> np.ndarray:
         return cv2.resize(array[top:bottom, left:right], size, interpolation=cv2.INTER_AREA)
 
-    bare = model.mesh(Codes(codes.identity, codes.expression, codes.texture, codes.illumination), gaze)
-    origins, directions = small.rays()
-    rays = np.concatenate([np.broadcast_to(origins, directions.shape), directions], axis=-1).astype(np.float32)
-    rays = rays.reshape(size[1], size[0], 6)
-    skin = ray_scene(bare.vertices, bare.part_faces(FACE)).cast_rays(tensor(rays))["t_hit"].numpy()
+    bare = model.mesh(replace(codes, hair=np.zeros(0)), gaze)
+    rays = rays_of(small)
+    skin = ray_scene(bare.vertices, bare.part_faces(FACE)).cast_rays(rays)["t_hit"].numpy()
     on_head, above = np.isfinite(skin), above_chin(bare, small)
     oval = part(face_oval(landmarks, (height, width)).astype(np.float32)) > 0.5
     if labels is not None:

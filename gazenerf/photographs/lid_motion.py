@@ -11,7 +11,7 @@ from scipy.sparse.linalg import splu
 
 from gazenerf.geometry import Camera
 from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, FACE, HeadMesh
-from gazenerf.head_model.ray_scenes import ray_scene, tensor
+from gazenerf.head_model.ray_scenes import ray_scene, rays_of, tensor
 
 LARGEST_SIDE = 200
 """Pixels: motion is computed in pictures no larger than this, it is smooth."""
@@ -122,8 +122,7 @@ def harmonic_fill(values: np.ndarray, known: np.ndarray, domain: np.ndarray) -> 
 
 
 def _cast(mesh: HeadMesh, camera: Camera) -> dict[str, Any]:
-    rays_o, rays_d = camera.rays()
-    return _scene(mesh).cast_rays(tensor(np.concatenate([rays_o, rays_d], axis=-1)), nthreads=1)
+    return _scene(mesh).cast_rays(rays_of(camera), nthreads=1)
 
 
 def _scene(mesh: HeadMesh) -> Any:

@@ -12,6 +12,7 @@ from gazenerf.head_model.lids import smoothstep
 from gazenerf.head_model.reference import ReferenceHead
 from gazenerf.heads import Head
 from gazenerf.loading import default_field
+from gazenerf.photographs.appearance import below_chin
 from gazenerf.subjects import Subject
 
 SHOWN = 3.4
@@ -82,8 +83,6 @@ def _kept(head: Head, camera: Camera) -> np.ndarray:
     """(H, W) 1 where the field's head counts, 0 where the neck is the photograph's."""
     reference = ReferenceHead.of(head.subject)
     assert reference is not None
-    marks = reference.at(Gaze()).landmarks
-    (chin, brows), z = camera.project(np.stack([marks["8"], marks["27"]]).astype(np.float64))
-    down = (chin - brows) / max(float(np.linalg.norm(chin - brows)), 1e-9)
-    below = (camera.pixel_centres() - chin) @ down / (camera.fx / float(z[0]))
-    return 1.0 - smoothstep(*FADES, below)
+    mesh = reference.at(Gaze())
+    _, z = camera.project(mesh.landmarks["8"].astype(np.float64))
+    return 1.0 - smoothstep(*FADES, below_chin(mesh, camera) / (camera.fx / float(z)))
