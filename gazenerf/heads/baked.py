@@ -263,7 +263,7 @@ def draw_together(bounds: Sequence[BakedBoundHead], cameras: Sequence[Camera], c
         cameras: One for each picture, all of one size.
         cutouts: Also give the pictures without what is behind them.
     """
-    drawn = draw_rays(bounds[0].bound.head, _BakedRays(bounds), cameras, cutouts)
+    drawn = draw_rays([one.bound for one in bounds], _BakedRays(bounds), cameras, cutouts)
     assert drawn is not None
     return drawn
 

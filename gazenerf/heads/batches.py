@@ -180,15 +180,18 @@ class PictureRays(ABC):
         return self.add_behind(self.first(rays, window), rays)
 
 
-def draw_rays(head: Head, seen_by: PictureRays, cameras: Sequence[Camera], cutouts: bool = False) -> list[Drawn] | None:
+def draw_rays(
+    bounds: Sequence[BoundHead], seen_by: PictureRays, cameras: Sequence[Camera], cutouts: bool = False
+) -> list[Drawn] | None:
     """Pictures of a head and their geometry, computed in one pass; None where one of them shows haze.
 
     Args:
-        head: Its field draws them.
+        bounds: The head at the gaze of each picture, the same object where gazes are the same; its field draws them.
         seen_by: What is seen along the rays of the pictures.
         cameras: One for each picture, all of one size.
         cutouts: Also give the pictures without what is behind them.
     """
+    head = bounds[0].head
     grid = FeatureGrid.of(cameras[0], head.field.config, head.device, *cameras[1:])
     with head.quickly():
         background = head.field.renderer.background(*grid.shape)[0].flatten(1).T.float()
@@ -199,7 +202,7 @@ def draw_rays(head: Head, seen_by: PictureRays, cameras: Sequence[Camera], cutou
             return None
         found = seen_by.add_behind(front, rays)
         seen = grid.smooth_outline(seen_by.composited, background, found, cut=True)
-        uncut = with_detail(head, head.painter.all_uncut(seen, grid.shape), grid, seen)
+        uncut = with_detail(bounds, head.painter.all_uncut(seen, grid.shape), grid, seen)
         pictures = head.painter.cut(uncut, seen, grid.shape)
         alone = cut_outs_of(seen, uncut, head.painter.picture_behind(*grid.shape), grid.shape) if cutouts else None
     images = [to_picture(picture, camera) for picture, camera in zip(pictures, cameras, strict=True)]
@@ -216,7 +219,7 @@ def draw_guided(bounds: Sequence[BoundHead], cameras: Sequence[Camera]) -> list[
     """
     head = bounds[0].head
     together = len(cameras) > 1 and head.drawn_together and head.sparse
-    drawn = draw_rays(head, _GuidedRays(bounds), cameras) if together else None
+    drawn = draw_rays(bounds, _GuidedRays(bounds), cameras) if together else None
     if drawn is not None:
         return drawn
     views = [bound.render(camera) for bound, camera in zip(bounds, cameras, strict=True)]

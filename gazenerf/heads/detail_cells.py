@@ -7,7 +7,7 @@ import torch
 from scipy.interpolate import LinearNDInterpolator
 
 from gazenerf.field.detail import EXTENT, detail_coordinates
-from gazenerf.heads.head import Head
+from gazenerf.heads.bound import BoundHead
 from gazenerf.heads.interface import GeometryView
 from gazenerf.heads.surface_detail import surface_places
 
@@ -18,11 +18,13 @@ SOLID = 0.99
 """Opacity from which a feature pixel shows the surface alone."""
 
 
-def seen_cells(head: Head, geometry: GeometryView, size: int, cells: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+def seen_cells(
+    bound: BoundHead, geometry: GeometryView, size: int, cells: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
     """Where a picture shows each cell of a map of detail.
 
     Args:
-        head: Drawn by the picture.
+        bound: The head at the gaze at which the picture shows it.
         geometry: Of the picture's feature map.
         size: Of the square picture.
         cells: Rows and columns of the map.
@@ -38,9 +40,9 @@ def seen_cells(head: Head, geometry: GeometryView, size: int, cells: tuple[int, 
     hit = np.isfinite(facing) & np.isfinite(geometry.depth) & (geometry.opacity > SOLID)
     if np.count_nonzero(hit) < 4:  # no triangle
         return np.full((*cells, 2), -1.0, np.float32), np.zeros(cells, np.float32)
-    with head.quickly():
-        there = torch.from_numpy(points[hit].astype(np.float32)).to(head.device)
-        places = detail_coordinates(surface_places(head, there)).cpu().numpy()
+    with bound.head.quickly():
+        there = torch.from_numpy(points[hit].astype(np.float32)).to(bound.device)
+        places = detail_coordinates(surface_places(bound, there)).cpu().numpy()
     pixel = size / geometry.camera.width
     told = np.column_stack([(np.argwhere(hit)[:, ::-1] + 0.5) * pixel - 0.5, facing[hit]])
     rows, columns = ((np.arange(count) + 0.5) * 2.0 / count - 1.0 for count in cells)

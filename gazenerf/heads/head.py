@@ -116,7 +116,6 @@ class Head:
         self._lock = threading.RLock()
         self._found_for: int | None = None
         self._grids: dict[str, Occupancy] | None = None
-        self._straight: dict[str, StreamCondition] | None = None
         self._texture_detail: SurfaceDetail | None = None
         self._told_dense = self._told_memory = False
         self.frames = FrameBatches(self, draw_guided)
@@ -256,15 +255,6 @@ class Head:
             return self._hair
 
     @property
-    def straight(self) -> dict[str, StreamCondition]:
-        """`conditions` while the eyes look straight ahead."""
-        with self._lock:
-            self._refresh()
-            if self._straight is None:
-                self._straight = self.conditions(Gaze())[1]
-            return self._straight
-
-    @property
     def texture_detail(self) -> SurfaceDetail | None:
         """The detail of the subject's texture code; None where the field has none."""
         with self._lock:
@@ -280,7 +270,7 @@ class Head:
         """Forget what was found for other weights; the lock is held."""
         version = self.field.version
         if version != self._found_for:
-            self._grids = self._straight = self._texture_detail = None
+            self._grids = self._texture_detail = None
             self._found_for = version
 
     @property

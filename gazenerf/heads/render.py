@@ -56,7 +56,7 @@ def render_parts(bound: BoundHead, camera: Camera, parts: tuple[Part, ...], cuto
             turned = part != "face" and (len(bound.streams_of(part)) == 1 or config.merge == "max")
             uncut = bound.head.painter.uncut(seen, grid.shape, turned)
             if part != "eyes":
-                uncut = with_detail(bound.head, uncut, grid, seen)
+                uncut = with_detail([bound], uncut, grid, seen)
             picture = uncut if turned else bound.head.painter.cut(uncut, seen, grid.shape)
             if cutouts:
                 alone[part] = to_picture(_cut_out(bound, grid, seen, background, part, uncut), camera)
@@ -81,7 +81,7 @@ def _cut_out(
         seen = grid.with_matte(seen, behind)
         uncut = head.painter.uncut(seen, grid.shape, turned=True)
         if part != "eyes":
-            uncut = with_detail(head, uncut, grid, seen)
+            uncut = with_detail([bound], uncut, grid, seen)
     picture_behind = head.painter.upsample(behind.T.reshape(1, -1, *grid.shape))[0] if seen.matte is None else uncut
     return cut_outs_of(seen, uncut, picture_behind, grid.shape)[0]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import torch
@@ -11,7 +12,7 @@ from gazenerf.field.detail import DARK
 from gazenerf.heads.feature_map import FeatureGrid, RayFeatures
 
 if TYPE_CHECKING:
-    from gazenerf.heads.head import Head
+    from gazenerf.heads.bound import BoundHead
 
 FOLD = 6.0
 """Widths of a feature pixel by which distances of it and its neighbours differ where one surface ends before another:
@@ -22,22 +23,30 @@ HAIR_END, HAIR_FADES = 0.025, 0.02
 """World units: what lies so far from the hair's surface is skin, and over how much the one becomes the other."""
 
 
-def with_detail(head: Head, pictures: torch.Tensor, grid: FeatureGrid, seen: RayFeatures) -> torch.Tensor:
+def with_detail(
+    bounds: Sequence[BoundHead], pictures: torch.Tensor, grid: FeatureGrid, seen: RayFeatures
+) -> torch.Tensor:
     """Pictures of a head with the detail of the skin, where its field has any: by texture code, or the person's own.
 
     A feature pixel's place on the surface follows from its distance; places of pixels are interpolated between them.
 
     Args:
-        head: Drawn by the pictures.
+        bounds: One head at the gaze of each picture, the same object where gazes are the same.
         pictures: (B, 3, h * k, w * k) sRGB, or one of them, before they are cut out by a matte.
         grid: The rays of their feature maps.
         seen: Along these rays.
     """
+    head = bounds[0].head
     skin, own, hair = head.texture_detail, head.field.detail, head.hair
     if skin is None and own is None and hair is None:
         return pictures
     points = grid.rays_o + seen.distance.nan_to_num()[:, None] * grid.rays_d
-    places = surface_places(head, points)
+    places = torch.empty_like(points)
+    of_picture = places.reshape(len(bounds), -1, 3)
+    for bound in {id(bound): bound for bound in bounds}.values():
+        same = [number for number, other in enumerate(bounds) if other is bound]
+        found = surface_places(bound, points.reshape(of_picture.shape)[same].reshape(-1, 3))
+        of_picture[same] = found.reshape(len(same), -1, 3)
     if hair is not None:
         places = torch.cat([places, points], dim=1)
     places = places.reshape(-1, *grid.shape, places.shape[1]).permute(0, 3, 1, 2)
@@ -66,11 +75,11 @@ def with_detail(head: Head, pictures: torch.Tensor, grid: FeatureGrid, seen: Ray
     return detailed.reshape(pictures.shape)
 
 
-def surface_places(head: Head, points: torch.Tensor) -> torch.Tensor:
-    """Where the face has the features of points (N, 3): there, or on the template; (N, 3).
+def surface_places(bound: BoundHead, points: torch.Tensor) -> torch.Tensor:
+    """Where the face has the features of points (N, 3) at a gaze: there, or on the template; (N, 3).
 
-    They are those of eyes that look straight ahead: only lids move with the gaze, where no detail is kept.
+    On the template lids have the places of lids that look straight ahead, so that their detail moves with them.
     """
-    name = "face" if "face" in head.field.streams else "head"
-    stream, condition = head.field.stream(name), head.straight[name]
-    return torch.cat([stream.places(chunk[None], condition)[0] for chunk in points.split(head.chunk)])
+    name = "face" if "face" in bound.conditions else "head"
+    stream, condition = bound.field.stream(name), bound.conditions[name]
+    return torch.cat([stream.places(chunk[None], condition)[0] for chunk in points.split(bound.head.chunk)])

@@ -12,7 +12,8 @@ import torch
 from gazenerf.data.rasterizer import Rasterizer
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model.interface import MOUTH, HeadMesh
-from gazenerf.photographs.appearance import STANDARD_LIPS, Seen, face_oval
+from gazenerf.photographs.appearance import STANDARD_LIPS, Seen, between_lips, eye_openings, face_oval
+from gazenerf.photographs.landmarks import FaceLandmarks
 from gazenerf.photographs.teacher import Teacher
 from gazenerf.photographs.told_colours import person_mask
 from gazenerf.subjects import Codes
@@ -42,6 +43,10 @@ EYES_WINDOW = (0.375, 0.16)
 """Their width and height, shares of a picture's side."""
 
 
+EMPHASIS, EMPHASIS_GROWN = 4.0, 0.05
+"""How much pixels of a photograph's eyes and open mouth count, which are few and unlike anybody else's, and by how much
+these are grown, in distances between the eyes."""
+
 OWN, AROUND_HEAD, EYES = "own", "around", "eyes"
 """Kinds of lessons: the photograph, the teacher's head from all sides, and its eyes alone."""
 
@@ -54,7 +59,8 @@ class Lesson:
         codes: Of the person, in the photograph that it is about.
         camera, gaze: Of the picture.
         image: (3, H, W) float32 sRGB.
-        mask: (H, W) float32, 0 where the picture says nothing.
+        mask: (H, W) float32, how much each pixel counts: 0 where the picture says nothing, 1 otherwise, and
+            `EMPHASIS` in the eyes and the open mouth of a photograph.
         kind: `OWN`, `AROUND_HEAD` or `EYES`.
     """
 
@@ -81,10 +87,20 @@ def photograph_lesson(seen: Seen, codes: Codes, gaze: Gaze, size: int) -> Lesson
         camera, fx=camera.fx * scale, fy=camera.fy * scale, cx=(camera.cx - low[0]) * scale,
         cy=(camera.cy - low[1]) * scale, width=size, height=size,
     )  # fmt: skip
-    told = person_mask(seen) | (face_oval(seen.landmarks, seen.image.shape[:2]) & (seen.raster.parts > 0))
-    mask = moved_to_square(seen, told.astype(np.float32), size, cv2.INTER_LINEAR)
+    shape = seen.image.shape[:2]
+    told = (person_mask(seen) | (face_oval(seen.landmarks, shape) & (seen.raster.parts > 0))).astype(np.float32)
+    told[_eyes_and_mouth(seen.landmarks, shape)] *= EMPHASIS
+    mask = moved_to_square(seen, told, size, cv2.INTER_LINEAR)
     picture = moved_to_square(seen, seen.image, size, cv2.INTER_CUBIC)
     return Lesson(codes, square, gaze, _image(picture), torch.from_numpy(mask), OWN)
+
+
+def _eyes_and_mouth(landmarks: FaceLandmarks, shape: tuple[int, int]) -> np.ndarray:
+    """(H, W) bool: between the lids and between the lips, and their edges."""
+    radius = max(1, round(EMPHASIS_GROWN * landmarks.interocular))
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+    inside = eye_openings(landmarks, shape) | between_lips(landmarks, shape)
+    return cv2.dilate(inside.astype(np.uint8), disc) > 0
 
 
 def _square(seen: Seen) -> tuple[np.ndarray, float]:

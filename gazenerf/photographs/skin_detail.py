@@ -20,9 +20,9 @@ from gazenerf.photographs.lessons import Lesson, moved_to_square, photograph_les
 TEXEL = 0.25
 """Degrees; about 0.4 mm on the face."""
 
-AROUND_EYES, FADING = 0.12, 0.02
-"""Shares of the distance between the eyes: so far from their openings, whose lids the gaze moves, nothing is stored;
-over so much it fades at the border of what the photograph tells."""
+AROUND_EYES, AT_LIDS, FADING = 0.12, 0.01, 0.02
+"""Shares of the distance between the eyes: so far from their openings nothing is stored in a field whose features do
+not move with the lids; over so much it fades at lids with which they do, and at the border of what is told."""
 
 MOST = 0.5
 """sRGB that is added or taken at most."""
@@ -40,29 +40,40 @@ def photograph_detail(head: Head, seen: Seen, gaze: Gaze) -> np.ndarray:
     """
     size = head.field.config.image_size
     lesson = photograph_lesson(seen, head.subject.codes, gaze, size)
-    view = head.at(gaze).render(lesson.camera)
+    bound = head.at(gaze)
+    view = bound.render(lesson.camera)
     left = np.clip(lesson.image.permute(1, 2, 0).numpy() - view.images["head"], -MOST, MOST)
     rows, columns = (round(2.0 * extent / TEXEL) for extent in (EXTENT[1], EXTENT[0]))
-    pixels, trust = seen_cells(head, view.geometry["head"], size, (rows, columns))
+    pixels, trust = seen_cells(bound, view.geometry["head"], size, (rows, columns))
 
     def looked_up(values: np.ndarray, how: int) -> np.ndarray:
         return cv2.remap(values, pixels[..., 0], pixels[..., 1], how, borderMode=cv2.BORDER_CONSTANT)
 
-    share = trust * looked_up(_told(seen, lesson, size), cv2.INTER_LINEAR)
+    share = trust * looked_up(_told(seen, lesson, head.field.config.features_at == "template"), cv2.INTER_LINEAR)
     values = looked_up(left, cv2.INTER_CUBIC) * share[..., None]
     return np.ascontiguousarray(values.transpose(2, 0, 1)).astype(np.float16)
 
 
-def _told(seen: Seen, lesson: Lesson, size: int) -> np.ndarray:
-    """(size, size) 0 to 1: where the photograph's square picture tells what the skin looks like."""
+def _told(seen: Seen, lesson: Lesson, lids_move: bool) -> np.ndarray:
+    """(H, W) 0 to 1: where the photograph's square picture tells what lies on the surface, with the lids or without."""
     shape = seen.image.shape[:2]
-    openings = moved_to_square(seen, eye_openings(seen.landmarks, shape).astype(np.float32), size, cv2.INTER_LINEAR)
+    openings = eye_openings(seen.landmarks, shape).astype(np.float32)
+    openings = moved_to_square(seen, openings, lesson.camera.width, cv2.INTER_LINEAR) > 0.5
     apart = seen.landmarks.interocular * lesson.camera.fx / seen.camera.fx
-    near = cv2.dilate((openings > 0.5).astype(np.uint8), _disc(AROUND_EYES * apart))
-    told = ((lesson.mask.numpy() > 0.5) & (near == 0)).astype(np.uint8)
-    fade = max(1.0, FADING * apart)
-    inside = cv2.erode(told, _disc(2.0 * fade), borderType=cv2.BORDER_CONSTANT, borderValue=0)
-    return cv2.GaussianBlur(inside.astype(np.float32), (0, 0), fade)
+    told = lesson.mask.numpy() > 0.5
+    if lids_move:
+        return _faded(told, FADING * apart, 2.0) * _faded(~openings, AT_LIDS * apart, 1.0)
+    away = cv2.dilate(openings.astype(np.uint8), _disc(AROUND_EYES * apart)) == 0
+    return _faded(told & away, FADING * apart, 2.0)
+
+
+def _faded(inside: np.ndarray, deviation: float, shrunk: float) -> np.ndarray:
+    """A mask (H, W) shrunk by so many deviations and smoothed by one, pixels but at least 1: float32."""
+    deviation = max(1.0, deviation)
+    shrunken = cv2.erode(
+        inside.astype(np.uint8), _disc(shrunk * deviation), borderType=cv2.BORDER_CONSTANT, borderValue=0
+    )
+    return cv2.GaussianBlur(shrunken.astype(np.float32), (0, 0), deviation)
 
 
 def _disc(radius: float) -> np.ndarray:

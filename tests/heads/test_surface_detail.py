@@ -13,6 +13,8 @@ from gazenerf.checkpoints import load_field
 from gazenerf.errors import UserError
 from gazenerf.field.detail import EXTENT, SurfaceDetail, detail_coordinates
 from gazenerf.geometry import Camera, Gaze
+from gazenerf.head_model import load_head_model
+from gazenerf.head_model.interface import FACE
 from gazenerf.heads import Head
 from gazenerf.heads.cutouts import render_cut_out
 from gazenerf.heads.surface_detail import surface_places
@@ -48,7 +50,7 @@ def expected(head: Head, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     assert view.normals is not None
     points = torch.from_numpy(np.nan_to_num(view.points()).reshape(-1, 3).astype(np.float32))
     with head.quickly():
-        places = surface_places(head, points).reshape(1, SIZE, SIZE, 3)
+        places = surface_places(head.at(GAZE), points).reshape(1, SIZE, SIZE, 3)
         added = detail(places)[0].permute(1, 2, 0).numpy()
     facing = -(view.normals * camera.rays()[1]).sum(-1)
     return added, (view.opacity > 0.99) & (facing > 0.6)
@@ -78,6 +80,26 @@ def test_every_path_adds_it(heads: tuple[Head, Head]) -> None:
     cut = render_cut_out(head.at(GAZE), CAMERAS[1]).cutouts["head"]
     solid = cut[..., 3] > 0.999
     np.testing.assert_allclose(cut[solid][:, :3], alone[1][solid], atol=2e-3)
+
+
+def test_lids_keep_their_places_while_they_move(heads: tuple[Head, Head]) -> None:
+    """Upper lids of a head that looks down lie where they do on the template while it looks up."""
+    head = heads[0]
+    if head.field.config.features_at != "template":
+        pytest.skip("features of this field lie still")
+    model, gazes = load_head_model(), (Gaze(np.deg2rad(20.0), 0.0), Gaze(np.deg2rad(-20.0), 0.0))
+    meshes = [model.mesh(head.subject.codes, gaze) for gaze in gazes]
+    skin = np.unique(meshes[0].part_faces(FACE))
+    moved = np.linalg.norm(meshes[0].vertices[skin] - meshes[1].vertices[skin], axis=1)
+    lids = skin[moved > 0.03]
+    assert len(lids) > 500
+    points = [torch.from_numpy(mesh.vertices[lids].astype(np.float32)) for mesh in meshes]
+    with head.quickly():
+        up, down = (surface_places(head.at(gaze), there).numpy() for gaze, there in zip(gazes, points, strict=True))
+        as_before = surface_places(head.at(gazes[0]), points[1]).numpy()
+    still = np.median(np.linalg.norm(up - down, axis=1))
+    assert still < 0.5 * np.median(moved[moved > 0.03])
+    assert still < 0.7 * np.median(np.linalg.norm(up - as_before, axis=1))
 
 
 def test_detail_is_looked_up_by_direction() -> None:

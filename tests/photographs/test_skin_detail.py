@@ -17,7 +17,7 @@ from gazenerf.image_metrics import psnr
 from gazenerf.personal_weights import PersonalWeights
 from gazenerf.photographs.appearance import Seen, eye_openings, seen_vertices
 from gazenerf.photographs.lessons import moved_to_square, photograph_lesson, teacher_cameras
-from gazenerf.photographs.skin_detail import TEXEL, photograph_detail
+from gazenerf.photographs.skin_detail import TEXEL, _told, photograph_detail
 from gazenerf.subjects import Subject
 
 SIZE = 256
@@ -58,6 +58,20 @@ def test_the_photograph_is_drawn_again(person, with_detail) -> None:
     first, second = (head.at(subject.gaze).render(lesson.camera).image for head in (before, after))
     assert psnr(second, wanted, inside & away) > psnr(first, wanted, inside & away) + 6.0
     np.testing.assert_allclose(second[openings], first[openings], atol=0.02)
+
+
+def test_lids_are_told_up_to_their_edges_where_features_move_with_them(person) -> None:
+    subject, seen = person
+    lesson = photograph_lesson(seen, subject.codes, subject.gaze, SIZE)
+    still, moving = (_told(seen, lesson, lids_move) for lids_move in (False, True))
+    openings = moved_to_square(seen, eye_openings(seen.landmarks, (384, 384)).astype(np.float32), SIZE, 1) > 0.5
+    kernel = np.ones((13, 13), np.uint8)
+    beside = (cv2.dilate(openings.astype(np.uint8), kernel) > 0) & ~openings
+    inside = cv2.erode(openings.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    assert np.median(moving[beside]) > np.median(still[beside]) + 0.5
+    assert inside.any() and moving[inside].max() < 0.2
+    away = cv2.dilate(openings.astype(np.uint8), np.ones((61, 61), np.uint8)) == 0
+    assert (np.abs(moving - still)[away] > 0.01).mean() < 0.01
 
 
 def test_freckles_are_seen_where_they_lie_from_another_side(person, with_detail) -> None:
