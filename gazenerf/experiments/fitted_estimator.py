@@ -15,7 +15,7 @@ from gazenerf.errors import UserError
 from gazenerf.head_model import load_head_model
 from gazenerf.training.estimators import load_view_reader
 from gazenerf.training.gaze_estimator import GazeEstimator
-from gazenerf.training.gaze_training import Cuts, EstimatorData, errors_of, gaze_loss
+from gazenerf.training.gaze_training import EstimatorData, errors_of, gaze_loss
 from gazenerf.training.pose_estimator import PoseEstimator
 from gazenerf.training.pose_training import PoseData, pose_errors, pose_loss
 
@@ -60,12 +60,12 @@ class _Small:
 
     def fitted(self, captures: Sequence[Capture], steps: int, seed: int) -> FittedEstimator:
         network, data = copy.deepcopy(self._network), self._data(captures)
-        cuts = Cuts.of(data)
-        _fit(network, lambda rows: gaze_loss(network, data, cuts, rows), len(data), steps, seed)
+        _fit(network, lambda rows: gaze_loss(network, data, rows), len(data), steps, seed)
         return _Small(network)
 
     def _data(self, captures: Sequence[Capture]) -> EstimatorData:
-        return EstimatorData.of(captures, lambda capture: self._head_model.eye_centres(capture.codes.identity))
+        layout = self._network.layout
+        return EstimatorData.of(captures, lambda capture: self._head_model.eye_centres(capture.codes.identity), layout)
 
 
 class _Pose:

@@ -18,7 +18,7 @@ from gazenerf.geometry.cameras import NEUTRAL_DISTANCE, NEUTRAL_FOV
 from gazenerf.head_model.interface import HeadMesh
 from gazenerf.photographs.picture_terms import SeenGaze
 from gazenerf.training.face_patch import seen_by
-from gazenerf.training.gaze_estimator import INPUT, GazeEstimator, load_gaze_estimator
+from gazenerf.training.gaze_estimator import GazeEstimator, load_gaze_estimator
 
 DEVIATIONS = (3.5, 3.0)
 """Degrees of pitch and yaw. On 160 rendered people with known pose it misses by 3.1 and 2.0 (root mean squares). More
@@ -40,27 +40,28 @@ def seen_gaze(image: np.ndarray, camera: Camera, mesh: HeadMesh) -> SeenGaze:
         mesh: The fitted head; what is beside it is made black, as it is in the pictures that the network learned from.
     """
     with torch.inference_mode():
-        pitch, yaw = _estimator()(as_learned(image, camera, mesh))[0].tolist()
+        estimator = _estimator()
+        pitch, yaw = estimator(as_learned(image, camera, mesh, estimator.layout.side))[0].tolist()
     position = camera.position
     aside = np.rad2deg(np.arccos(np.clip(position[2] / np.linalg.norm(position), -1.0, 1.0)))
     more = 1.0 + (aside / ASIDE) ** 2
     return SeenGaze(pitch, yaw, (float(np.deg2rad(DEVIATIONS[0]) * more), float(np.deg2rad(DEVIATIONS[1]) * more)))
 
 
-def as_learned(image: np.ndarray, camera: Camera, mesh: HeadMesh) -> torch.Tensor:
-    """(1, 3, 256, 256) the photograph as a neutral camera would have it, see `seen_gaze`."""
+def as_learned(image: np.ndarray, camera: Camera, mesh: HeadMesh, side: int) -> torch.Tensor:
+    """(1, 3, side, side) the photograph as a neutral camera would have it, see `seen_gaze`."""
     distance = float(np.linalg.norm(camera.position))
     fov = 2.0 * np.arctan(np.tan(0.5 * NEUTRAL_FOV) * NEUTRAL_DISTANCE / distance)
 
     def neutral(size: int) -> Camera:
         return Camera.look_at(camera.position, np.zeros(3), size=size, fov=float(fov), up=(0.0, 1.0, 0.0))
 
-    finer = 2 ** int(np.clip(np.ceil(np.log2(camera.fx / neutral(INPUT).fx)), 0, np.log2(LARGEST / INPUT)))
-    view = neutral(finer * INPUT)
+    finer = 2 ** int(np.clip(np.ceil(np.log2(camera.fx / neutral(side).fx)), 0, np.log2(LARGEST / side)))
+    view = neutral(finer * side)
     with Rasterizer((view.width, view.height), 1) as rasterizer:
         parts = rasterizer.render(mesh, np.zeros((len(mesh.vertices), 3)), view).parts
     alone = np.where((parts > 0)[..., None], seen_by(image, camera, view), 0)
-    small = cv2.resize(alone.astype(np.float32), (INPUT, INPUT), interpolation=cv2.INTER_AREA)
+    small = cv2.resize(alone.astype(np.float32), (side, side), interpolation=cv2.INTER_AREA)
     return torch.from_numpy(small / 255.0).permute(2, 0, 1)[None]
 
 

@@ -166,12 +166,14 @@ class _Run:
 def _train_small(run: _Run) -> dict[str, Any]:
     model, settings = load_head_model(), run.settings
 
-    def read(shards: Sequence[Path]) -> EstimatorData:
-        return EstimatorData.of(checked(shards), lambda capture: model.eye_centres(capture.codes.identity))
+    def read(shards: Sequence[Path], whole: bool) -> EstimatorData:
+        centres = lambda capture: model.eye_centres(capture.codes.identity)  # noqa: E731
+        return EstimatorData.of(checked(shards), centres, whole=whole)
 
-    data = read(run.learned)
+    data = read(run.learned, whole=False)
+    held_out = {name: read(shards, whole=True) for name, shards in run.sets.items()}
     estimator = train_gaze_estimator(
-        data, {name: read(shards) for name, shards in run.sets.items()}, epochs=settings.epochs, batch=settings.batch,
+        data, held_out, epochs=settings.epochs, batch=settings.batch,
         learning_rate=settings.learning_rate, seed=settings.seed, state=run.state,
         about={**run.about, "head_model": model.name}, on_step=run.on_step(len(data)),
     )  # fmt: skip

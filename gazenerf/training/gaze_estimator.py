@@ -8,6 +8,9 @@ Sec. 3.2) and the measurement of redirected pictures.
 from __future__ import annotations
 
 import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,14 +34,40 @@ KIND = TensorFileKind(
     foreign="train one with `gazenerf train-estimator --network small`",
 )
 
-INPUT = 256
-"""Pictures are resized to this side first."""
 
-OVERVIEW = 64
-"""Side of the small picture of the whole head."""
+@dataclass(frozen=True)
+class Layout:
+    """Sizes of the network.
 
-WINDOW = (32, 48)
-"""Height and width, in pixels of the resized picture, of the window around an eye."""
+    Attributes:
+        side: Pictures are resized to this side first.
+        overview: Side of the small picture of the whole head.
+        window: Height and width, in pixels of the resized picture, of the window around an eye.
+        overview_layers, eye_layers: Channels and stride of each convolution.
+        widths: Of the layers after them and after both.
+    """
+
+    side: int
+    overview: int
+    window: tuple[int, int]
+    overview_layers: tuple[tuple[int, int], ...]
+    eye_layers: tuple[tuple[int, int], ...]
+    widths: tuple[int, int, int]
+
+
+FINE = Layout(
+    512, 96, (64, 96),
+    ((24, 2), (48, 2), (64, 2), (64, 1), (96, 2)), ((32, 2), (48, 2), (96, 2), (96, 2)), (160, 128, 160),
+)  # fmt: skip
+"""About 1.3 million parameters."""
+
+COARSE = Layout(
+    256, 64, (32, 48),
+    ((16, 2), (32, 2), (64, 2), (64, 1), (64, 2)), ((16, 1), (32, 2), (48, 2), (64, 2)), (128, 96, 128),
+)  # fmt: skip
+"""About 0.6 million; of files that do not state their side."""
+
+LAYOUTS = {layout.side: layout for layout in (COARSE, FINE)}
 
 
 class Reading(NamedTuple):
@@ -62,8 +91,20 @@ def _block(inputs: int, outputs: int, stride: int) -> nn.Sequential:
     )
 
 
+def _blocks(layers: Sequence[tuple[int, int]]) -> list[nn.Module]:
+    inputs = (3, *(channels for channels, _ in layers[:-1]))
+    return [_block(before, channels, stride) for before, (channels, stride) in zip(inputs, layers, strict=True)]
+
+
+def _shrunk(side: int, layers: Sequence[tuple[int, int]]) -> int:
+    return side // math.prod(stride for _, stride in layers)
+
+
 class GazeEstimator(nn.Module):
-    """See the module's docstring. About 0.6 million parameters.
+    """See the module's docstring.
+
+    Args:
+        layout: Its sizes.
 
     Attributes:
         about: Training data and held-out error, JSON-able.
@@ -72,19 +113,23 @@ class GazeEstimator(nn.Module):
 
     knows_labels = True
 
-    def __init__(self) -> None:
+    def __init__(self, layout: Layout = FINE) -> None:
         super().__init__()
+        self.layout = layout
         self.about: dict[str, Any] = {}
+        whole, one, both = layout.widths
+        cells = _shrunk(layout.overview, layout.overview_layers) ** 2
         self.overview = nn.Sequential(
-            _block(3, 16, 2), _block(16, 32, 2), _block(32, 64, 2), _block(64, 64, 1), _block(64, 64, 2), nn.Flatten(),
-            nn.Linear(64 * 16, 128), nn.ReLU(inplace=True),
+            *_blocks(layout.overview_layers), nn.Flatten(),
+            nn.Linear(layout.overview_layers[-1][0] * cells, whole), nn.ReLU(inplace=True),
         )  # fmt: skip
-        self.place = nn.Linear(128, 4 + 3)
+        self.place = nn.Linear(whole, 4 + 3)
+        cells = math.prod(_shrunk(side, layout.eye_layers) for side in layout.window)
         self.eye = nn.Sequential(
-            _block(3, 16, 1), _block(16, 32, 2), _block(32, 48, 2), _block(48, 64, 2), nn.Flatten(),
-            nn.Dropout(0.2), nn.Linear(64 * (WINDOW[0] // 8) * (WINDOW[1] // 8), 96), nn.ReLU(inplace=True),
+            *_blocks(layout.eye_layers), nn.Flatten(),
+            nn.Dropout(0.2), nn.Linear(layout.eye_layers[-1][0] * cells, one), nn.ReLU(inplace=True),
         )  # fmt: skip
-        self.head = nn.Sequential(nn.Linear(2 * 96 + 128 + 7, 128), nn.ReLU(inplace=True), nn.Linear(128, 2))
+        self.head = nn.Sequential(nn.Linear(2 * one + whole + 7, both), nn.ReLU(inplace=True), nn.Linear(both, 2))
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
         """Gaze (B, 2) of sRGB pictures (B, 3, H, W) in [0, 1] on black: `read(images).gaze`."""
@@ -97,14 +142,13 @@ class GazeEstimator(nn.Module):
             images: (B, 3, H, W) sRGB in [0, 1], square, the head as a neutral camera sees it.
             eyes: (B, 2, 2) where to look instead of where the network found the eyes (training).
         """
-        if images.shape[-1] != INPUT or images.shape[-2] != INPUT:
-            images = F.interpolate(images, (INPUT, INPUT), mode="bilinear", antialias=True, align_corners=False)
-        small = F.interpolate(images, (OVERVIEW, OVERVIEW), mode="area")
+        images = resized(images, self.layout.side)
+        small = overview(images, self.layout)
         whole = self.overview(small - 0.5)
         placed = self.place(whole).float()
         found = placed[:, :4].reshape(-1, 2, 2)
         looked_at = found.detach() if eyes is None else eyes
-        windows = torch.stack([eye_window(images, looked_at[:, i]) for i in (0, 1)], dim=1)
+        windows = torch.stack([eye_window(images, looked_at[:, i], self.layout.window) for i in (0, 1)], dim=1)
         return self.read_windows(small, windows, (whole, placed))
 
     def read_views(self, images: torch.Tensor, camera: Camera) -> tuple[torch.Tensor, torch.Tensor]:
@@ -118,7 +162,7 @@ class GazeEstimator(nn.Module):
     def read_windows(
         self, small: torch.Tensor, windows: torch.Tensor, known: tuple[torch.Tensor, torch.Tensor] | None = None
     ) -> Reading:
-        """`read` from an overview (B, 3, OVERVIEW, OVERVIEW) and eye windows (B, 2, 3, *WINDOW) cut already.
+        """`read` from overviews (B, 3, .., ..) and eye windows (B, 2, 3, .., ..) cut already; sizes: see `Layout`.
 
         Args:
             known: What the overview gave, when it was read before.
@@ -135,11 +179,23 @@ class GazeEstimator(nn.Module):
         return Reading(gaze, placed[:, :4].reshape(-1, 2, 2), F.normalize(placed[:, 4:], dim=1))
 
 
-def eye_window(images: torch.Tensor, centre: torch.Tensor, margin: int = 0) -> torch.Tensor:
-    """Pictures (B, 3, INPUT, INPUT) cut about points (B, 2) in [-1, 1]: (B, 3, *WINDOW), `margin` px more a side."""
-    height, width = WINDOW[0] + 2 * margin, WINDOW[1] + 2 * margin
-    x = (torch.arange(width, device=images.device) - (width - 1) / 2) * (2.0 / INPUT)
-    y = (torch.arange(height, device=images.device) - (height - 1) / 2) * (2.0 / INPUT)
+def resized(images: torch.Tensor, side: int) -> torch.Tensor:
+    """Pictures (B, C, H, W) as (B, C, side, side)."""
+    if images.shape[-1] == side and images.shape[-2] == side:
+        return images
+    return F.interpolate(images, (side, side), mode="bilinear", antialias=True, align_corners=False)
+
+
+def overview(images: torch.Tensor, layout: Layout) -> torch.Tensor:
+    """The small pictures of whole heads."""
+    return F.interpolate(images, (layout.overview, layout.overview), mode="area")
+
+
+def eye_window(images: torch.Tensor, centre: torch.Tensor, window: tuple[int, int], margin: int = 0) -> torch.Tensor:
+    """Square pictures (B, 3, S, S) cut about points (B, 2) in [-1, 1]: (B, 3, *window), `margin` px more a side."""
+    height, width = window[0] + 2 * margin, window[1] + 2 * margin
+    x = (torch.arange(width, device=images.device) - (width - 1) / 2) * (2.0 / images.shape[-1])
+    y = (torch.arange(height, device=images.device) - (height - 1) / 2) * (2.0 / images.shape[-1])
     offsets = torch.stack(torch.meshgrid(x, y, indexing="xy"), dim=-1)
     grid = centre[:, None, None] + offsets[None]
     with torch.autocast(images.device.type, enabled=False):
@@ -153,7 +209,8 @@ def save_gaze_estimator(estimator: GazeEstimator, path: str | Path) -> None:
         for name, value in estimator.state_dict().items()
     }
     with whole_file(path) as temporary:
-        save_file(tensors, temporary, metadata={"format": FORMAT, "about": json.dumps(estimator.about)})
+        metadata = {"format": FORMAT, "side": str(estimator.layout.side), "about": json.dumps(estimator.about)}
+        save_file(tensors, temporary, metadata=metadata)
 
 
 def load_gaze_estimator(path: str | Path | None = None) -> GazeEstimator:
@@ -166,7 +223,10 @@ def load_gaze_estimator(path: str | Path | None = None) -> GazeEstimator:
     with open_tensors(path, KIND, "pt") as (file, metadata):
         about = parse_json(metadata["about"])
         weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        estimator = GazeEstimator()
+        side = metadata.get("side", str(COARSE.side))
+        if side not in {str(known) for known in LAYOUTS}:
+            raise ValueError(f"it is for pictures of {side[:20]} px; {' or '.join(map(str, LAYOUTS))} are possible")
+        estimator = GazeEstimator(LAYOUTS[int(side)])
         for name, value in weights.items():
             if value.is_floating_point() and not bool(torch.isfinite(value).all()):
                 raise ValueError(f"{name} holds NaN or infinite values")

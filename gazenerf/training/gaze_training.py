@@ -14,17 +14,17 @@ from torch.nn import functional as F
 from gazenerf.data.captures import Capture
 from gazenerf.errors import UserError
 from gazenerf.training.estimator_loop import EpochSettings, labels_hash, train_epochs
-from gazenerf.training.gaze_estimator import INPUT, OVERVIEW, WINDOW, GazeEstimator, eye_window
+from gazenerf.training.gaze_estimator import FINE, GazeEstimator, Layout, eye_window, overview, resized
 from gazenerf.training.losses import angular_error, gaze_vectors
 
 VISIBLE_SHARE = 2e-4
 """Share of the picture's pixels that must show an eye for the gaze to be readable."""
 
-JITTER = 5
-"""Whole pixels of the resized picture by which training moves the eye windows, at most."""
+JITTER = 0.02
+"""Share of the resized picture's side by which training moves the eye windows, at most."""
 
-SOFTEST = (0.4, 0.8)
-"""Shares of their size to which training takes some eye windows down and back up, as smaller pictures are."""
+SOFT, SOFTEST = 0.5, (100, 400)
+"""Share of the pictures whose eye windows training takes down and back up, as smaller pictures are, and their sides."""
 
 MEASURE_EVERY = 10
 """Epochs between two measurements on held-out pictures."""
@@ -32,54 +32,76 @@ MEASURE_EVERY = 10
 
 @dataclass(frozen=True)
 class EstimatorData:
-    """Pictures with a readable gaze, and what the estimator should say about them.
+    """Pictures with a readable gaze, cut for an estimator, and what it should say about them.
 
     Attributes:
-        images: (N, 3, INPUT, INPUT) uint8.
+        layout: Of the estimator.
+        small: (N, 3, .., ..) uint8 overviews.
+        around: (N, 2, 3, .., ..) uint8 eye windows about the true places, with room to move them.
         gaze: (N, 2) radians.
         eyes: (N, 2, 2) eyeball centres in [-1, 1] over the picture, left then right.
         towards: (N, 3) unit, head frame.
+        images: (N, 3, S, S) uint8 whole pictures, to be measured on; None where they are only learned from.
     """
 
-    images: torch.Tensor
+    layout: Layout
+    small: torch.Tensor
+    around: torch.Tensor
     gaze: torch.Tensor
     eyes: torch.Tensor
     towards: torch.Tensor
+    images: torch.Tensor | None = None
 
     def __len__(self) -> int:
-        return len(self.images)
+        return len(self.gaze)
+
+    @property
+    def jitter(self) -> int:
+        """Pixels of room on each side of the eye windows."""
+        return round(JITTER * self.layout.side)
 
     @classmethod
-    def of(cls, captures: Iterable[Capture], eye_centres: Callable[[Capture], np.ndarray]) -> EstimatorData:
+    def of(
+        cls,
+        captures: Iterable[Capture],
+        eye_centres: Callable[[Capture], np.ndarray],
+        layout: Layout = FINE,
+        whole: bool = True,
+    ) -> EstimatorData:
         """Summarise captures, leaving out those that show no eye.
 
         Args:
             eye_centres: Capture to (2, 3) eyeball centres, world units, left then right.
+            layout: Of the estimator.
+            whole: Keep whole pictures.
 
         Raises:
             UserError: no capture shows an eye.
         """
-        images, gaze, eyes, towards = [], [], [], []
+        small, around, gaze, eyes, towards, images = [], [], [], [], [], []
+        margin = round(JITTER * layout.side)
         for capture in captures:
             if not readable(capture):
                 continue
             image = torch.from_numpy(capture.image).permute(2, 0, 1)[None].float()
-            if image.shape[-1] != INPUT or image.shape[-2] != INPUT:
-                image = F.interpolate(image, (INPUT, INPUT), mode="bilinear", antialias=True, align_corners=False)
-            images.append(image.round().clamp(0, 255).to(torch.uint8))
-            gaze.append(capture.gaze.label)
+            image = resized(image, layout.side).round().clamp(0, 255)
             camera = capture.camera
-            pixels = camera.project(eye_centres(capture))[0]
-            eyes.append(pixels * 2.0 / np.array([camera.width, camera.height]) - 1.0)
+            pixels = camera.project(eye_centres(capture))[0] * 2.0 / np.array([camera.width, camera.height]) - 1.0
+            places = torch.from_numpy(pixels).float()
+            small.append(overview(image, layout).round().to(torch.uint8))
+            cut = eye_window(image.expand(2, -1, -1, -1), places, layout.window, margin)
+            around.append(cut[None].round().to(torch.uint8))
+            if whole:
+                images.append(image.to(torch.uint8))
+            gaze.append(capture.gaze.label)
+            eyes.append(places)
             towards.append(camera.position / np.linalg.norm(camera.position))
-        if not images:
+        if not gaze:
             raise UserError("no capture shows an eye; synthesize views from the front")
         return cls(
-            torch.cat(images),
-            torch.from_numpy(np.stack(gaze)).float(),
-            torch.from_numpy(np.stack(eyes)).float(),
-            torch.from_numpy(np.stack(towards)).float(),
-        )
+            layout, torch.cat(small), torch.cat(around), torch.from_numpy(np.stack(gaze)).float(), torch.stack(eyes),
+            torch.from_numpy(np.stack(towards)).float(), torch.cat(images) if whole else None,
+        )  # fmt: skip
 
 
 def readable(capture: Capture) -> bool:
@@ -100,6 +122,8 @@ def errors_of(estimator: GazeEstimator, data: EstimatorData, batch: int = 64) ->
 
 def _errors(estimator: GazeEstimator, data: EstimatorData, batch: int) -> tuple[np.ndarray, np.ndarray]:
     estimator.eval()
+    if data.images is None:
+        raise ValueError("only whole pictures can be measured on")
     gaze, head = [], []
     with torch.no_grad():
         for first in range(0, len(data), batch):
@@ -147,11 +171,11 @@ def train_gaze_estimator(
         UserError: the state file belongs to another run or is damaged, or the loss is not finite.
     """
     torch.manual_seed(seed)
-    estimator, cuts = GazeEstimator(), Cuts.of(data)
+    estimator = GazeEstimator(data.layout)
     errors: dict[str, dict[str, Any]] = {}
 
     def loss_of(rows: torch.Tensor) -> torch.Tensor:
-        return gaze_loss(estimator, data, cuts, rows)
+        return gaze_loss(estimator, data, rows)
 
     def after(epoch: int, loss: float) -> None:
         if epoch % MEASURE_EVERY == 0 and epoch < epochs:
@@ -169,16 +193,15 @@ def train_gaze_estimator(
     return estimator
 
 
-def gaze_loss(estimator: GazeEstimator, data: EstimatorData, cuts: Cuts, rows: torch.Tensor) -> torch.Tensor:
+def gaze_loss(estimator: GazeEstimator, data: EstimatorData, rows: torch.Tensor) -> torch.Tensor:
     """What the estimator misses on some pictures, which are varied: gaze, radians, where the eyes are, and head pose.
 
     Args:
         estimator: That learns.
         data: Pictures and truth.
-        cuts: The pictures' parts.
         rows: (B,) indices.
     """
-    small, windows, gaze, eyes, towards = _augmented(data, cuts, rows)
+    small, windows, gaze, eyes, towards = _augmented(data, rows)
     read = estimator.read_windows(small, windows)
     return (
         angular_error(gaze_vectors(read.gaze), gaze_vectors(gaze)).mean()
@@ -187,50 +210,30 @@ def gaze_loss(estimator: GazeEstimator, data: EstimatorData, cuts: Cuts, rows: t
     )
 
 
-@dataclass(frozen=True)
-class Cuts:
-    """The parts of pictures that training looks at, cut once: small (N, 3, .., ..), eyes (N, 2, 3, .., ..), uint8."""
-
-    small: torch.Tensor
-    eyes: torch.Tensor
-
-    @classmethod
-    def of(cls, data: EstimatorData) -> Cuts:
-        """Cut the parts of pictures."""
-        small, eyes = [], []
-        for first in range(0, len(data), 64):
-            images = data.images[first : first + 64].float()
-            places = data.eyes[first : first + 64]
-            small.append(F.interpolate(images, (OVERVIEW, OVERVIEW), mode="area").round().to(torch.uint8))
-            cut = torch.stack([eye_window(images, places[:, i], JITTER) for i in (0, 1)], dim=1)
-            eyes.append(cut.round().to(torch.uint8))
-        return cls(torch.cat(small), torch.cat(eyes))
-
-
 def _augmented(
-    data: EstimatorData, cuts: Cuts, rows: torch.Tensor
+    data: EstimatorData, rows: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     """A batch: overviews, eye windows, gaze, eyes, towards; moved, mirrored, colours and sharpness varied."""
     gaze, eyes, towards = data.gaze[rows].clone(), data.eyes[rows].clone(), data.towards[rows].clone()
-    small, around = cuts.small[rows].float() / 255.0, cuts.eyes[rows].float() / 255.0
-    n = len(rows)
-    windows = around.new_empty(n, 2, 3, *WINDOW)
-    moves = torch.randint(0, 2 * JITTER + 1, (n, 2, 2)).tolist()
+    small, around = data.small[rows].float() / 255.0, data.around[rows].float() / 255.0
+    n, (height, width) = len(rows), data.layout.window
+    windows = around.new_empty(n, 2, 3, height, width)
+    moves = torch.randint(0, 2 * data.jitter + 1, (n, 2, 2)).tolist()
     for i in range(n):
         for k, (row, column) in enumerate(moves[i]):
-            windows[i, k] = around[i, k, :, row : row + WINDOW[0], column : column + WINDOW[1]]
+            windows[i, k] = around[i, k, :, row : row + height, column : column + width]
     flip = torch.rand(n) < 0.5
     small[flip] = small[flip].flip(3)
     windows[flip] = windows[flip].flip((1, 4))
     gaze[flip, 1] *= -1.0
     eyes[flip] = eyes[flip].flip(1) * eyes.new_tensor([-1.0, 1.0])
     towards[flip, 0] *= -1.0
-    soft = torch.rand(n) < 0.4
+    soft = torch.rand(n) < SOFT
     if bool(soft.any()):
-        factor = float(torch.empty(1).uniform_(*SOFTEST))
+        factor = float(torch.empty(1).uniform_(*SOFTEST)) / data.layout.side
         less = F.interpolate(windows[soft].flatten(0, 1), scale_factor=factor, mode="area")
-        blurred = F.interpolate(less, WINDOW, mode="bilinear", align_corners=False)
-        windows[soft] = blurred.reshape(-1, 2, 3, *WINDOW)
+        blurred = F.interpolate(less, (height, width), mode="bilinear", align_corners=False)
+        windows[soft] = blurred.reshape(-1, 2, 3, height, width)
     gain = 1.0 + 0.25 * (2.0 * torch.rand(n, 1, 1, 1) - 1.0) + 0.08 * torch.randn(n, 3, 1, 1)
     power = 1.0 + 0.3 * (2.0 * torch.rand(n, 1, 1, 1) - 1.0)
     small = small.clamp(min=1e-4) ** power * gain

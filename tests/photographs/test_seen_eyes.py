@@ -98,10 +98,10 @@ def test_the_network_reads_rendered_people_and_doubts_itself_aside(rendered):
 
 def test_the_network_is_shown_the_head_alone_whatever_the_size_of_the_photograph(rendered):
     item = rendered[0]
-    small = as_learned(item.image, item.camera, item.mesh)
+    small = as_learned(item.image, item.camera, item.mesh, 256)
     assert small.shape == (1, 3, 256, 256)
     black = (small == 0.0).all(dim=1).float().mean()
     assert 0.3 < black < 0.9 and (small[..., 0, :] == 0.0).all()
     large = cv2.resize(item.image, None, fx=4.0, fy=4.0, interpolation=cv2.INTER_LINEAR)
-    again = as_learned(large, item.camera.resized(large.shape[1], large.shape[0]), item.mesh)
+    again = as_learned(large, item.camera.resized(large.shape[1], large.shape[0]), item.mesh, 256)
     assert torch.mean(torch.abs(again - small)) < 0.01

@@ -30,7 +30,7 @@ def test_the_targets_point_at_the_eyes(toy_data):
     left = np.argwhere(captures[0].parts == 2).mean(0)[::-1] + 0.5
     np.testing.assert_allclose((toy_data.eyes[0, 0].numpy() + 1.0) * 32.0, left, atol=3.0)
     np.testing.assert_allclose(toy_data.gaze[0], captures[0].gaze.label)
-    assert toy_data.images.shape[1:] == (3, 256, 256)
+    assert toy_data.images.shape[1:] == (3, 512, 512)
 
 
 def test_training_lowers_the_loss_and_resumes(toy_data, tmp_path):
