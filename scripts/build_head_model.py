@@ -207,6 +207,7 @@ def build(count: int, seed: int) -> dict[str, np.ndarray]:
     from head_appearance import find_landmarks, occlusion_of, paint  # beside this script
     from head_hair import place_hair
     from head_landmarks import place_landmarks
+    from head_lashes import place_lashes
     from head_mouth import place_mouth
 
     uv = np.zeros((len(neutral), 2))
@@ -238,6 +239,7 @@ def build(count: int, seed: int) -> dict[str, np.ndarray]:
     arrays |= place_mouth(arrays, samples, all_actions, used)
     # the brows are painted along the first marks, so these are replaced late
     arrays["landmarks"] = place_landmarks(arrays).astype(np.int32)
+    arrays |= place_lashes(arrays)
     return arrays | place_hair(arrays)
 
 

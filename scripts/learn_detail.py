@@ -3,7 +3,7 @@
     python scripts/learn_detail.py --checkpoint out/settled/field.safetensors --out out/detailed.safetensors
 
 It is the head model's albedo in few maps, without pictures, and takes seconds. The field needs features at places on
-the template; any detail that it has is replaced.
+the template; any detail that it has is replaced. Lashes of the head model are added to it, unless --no-lashes is given.
 """
 
 from __future__ import annotations
@@ -29,15 +29,17 @@ def main() -> None:
     parser.add_argument(
         "--spread", type=float, help="deviation, world units, over which the face's features are averaged as well"
     )
+    parser.add_argument("--no-lashes", action="store_true", help="for fields that learned from pictures with lashes")
     parser.add_argument("--half", action="store_true", help="store half precision")
     arguments = parser.parse_args()
     field = load_field(arguments.checkpoint)
-    options = DetailOptions(people=arguments.people, rank=arguments.rank)
+    lashes = (0, 0) if arguments.no_lashes else defaults.lashes
+    options = DetailOptions(people=arguments.people, rank=arguments.rank, lashes=lashes)
     detailed = learn_texture_detail(field, options)
     if arguments.spread is not None:
         config = replace(detailed.config, feature_spread=arguments.spread)
         detailed = field_from_weights(detailed.state_dict(), config, arguments.checkpoint)
-    detailed.about = {**field.about, "detail": {"people": options.people, "rank": options.rank}}
+    detailed.about = {**field.about, "detail": {"people": options.people, "rank": options.rank, "lashes": any(lashes)}}
     save_field(detailed, arguments.out, half=arguments.half)
     print(f"wrote {arguments.out}")
 

@@ -51,6 +51,8 @@ class FieldConfig:
             become grain; 0, as published, takes the point alone. Eyes always do.
         detail: Maps of the skin's detail that texture codes mix, their rows and columns; 0, 0, 0 of fields without any
             (see `gazenerf.field.detail`).
+        lashes: Rows and columns of the map of how dark lashes make lids, for fields whose training had none; 0, 0 of
+            others.
         metres_per_unit: Size of a world unit.
         sampler: How pictures are sampled: `slabs` (published) or `guided` (found surface, then a shell).
         shell: Half width of the guided shell, world units; shell_samples: its samples per ray.
@@ -93,6 +95,7 @@ class FieldConfig:
     features_at: str = "points"
     feature_spread: float = 0.0
     detail: tuple[int, int, int] = (0, 0, 0)
+    lashes: tuple[int, int] = (0, 0)
     metres_per_unit: float = 0.1
     sampler: str = "slabs"
     shell: float = 0.25
@@ -124,6 +127,9 @@ class FieldConfig:
         need(self.geometry != "distance" or self.streams == "two", "distances need two streams")
         need(len(self.detail) == 3 and all(0 <= side <= MAX_SIZE for side in self.detail), "detail out of range")
         need(all(self.detail) or not any(self.detail), "detail has maps, rows and columns, or none of them")
+        need(len(self.lashes) == 2 and all(0 <= side <= MAX_SIZE for side in self.lashes), "lashes out of range")
+        need(all(self.lashes) or not any(self.lashes), "lashes have rows and columns, or neither")
+        need(not any(self.lashes) or self.features_at == "template", "lashes are kept by place on the template")
         need(self.features_at != "template" or self.geometry == "distance", "places on a template need distances")
         need(0 < self.frequencies <= 32 and 1 < self.samples <= MAX_SAMPLES, "frequencies or samples out of range")
         need(1 < self.shell_samples <= MAX_SAMPLES and self.shell > 0, "shell out of range")
@@ -183,7 +189,7 @@ class FieldConfig:
         for name, value in data.items():
             default = known[name].default
             if isinstance(default, tuple) or name in ("trained_gaze_range", "eyes_box"):
-                number = int if name == "detail" else float
+                number = int if name in ("detail", "lashes") else float
                 value = None if value is None else tuple(number(item) for item in value)
             elif isinstance(default, bool):
                 value = bool(value)

@@ -12,28 +12,33 @@ from gazenerf.field.plane import plane_coordinates
 EXTENT = (90.0, 67.5)
 """Degrees of azimuth and of elevation on either side of where the face looks that detail covers."""
 
+AROUND_EYES = (40.0, 14.0)
+"""The same that lashes cover."""
+
 DARK = 0.03
 """sRGB that is added before logarithms are taken, so that black has one."""
 
 
 class SurfaceDetail(nn.Module):
-    """Three values by direction from the world's origin, which lies inside the head.
+    """Values by direction from the world's origin, which lies inside the head.
 
-    Columns are azimuths, rows elevations, both within `EXTENT`; see `FeaturePlane`. Values are interpolated between
+    Columns are azimuths, rows elevations, both within an extent; see `FeaturePlane`. Values are interpolated between
     their centres; beyond the extent they are 0.
 
     Args:
-        values: (3, H, W) float32.
+        values: (3, H, W) float32, or one for all channels (1, H, W).
+        extent: As `EXTENT`.
     """
 
-    def __init__(self, values: torch.Tensor) -> None:
+    def __init__(self, values: torch.Tensor, extent: tuple[float, float] = EXTENT) -> None:
         super().__init__()
-        self.values = nn.Parameter(values)
+        self.values, self.extent = nn.Parameter(values), extent
 
     def forward(self, places: torch.Tensor) -> torch.Tensor:
         """The values (B, 3, H', W') at places (B, H', W', 3) of the surface, world units."""
         values = self.values.expand(len(places), -1, -1, -1)
-        return F.grid_sample(values, detail_coordinates(places), mode="bilinear", align_corners=False)
+        at = detail_coordinates(places, self.extent)
+        return F.grid_sample(values, at, mode="bilinear", align_corners=False)
 
 
 class TextureDetail(nn.Module):
@@ -63,7 +68,7 @@ class TextureDetail(nn.Module):
         return torch.einsum("cr,rhw->chw", weights, self.maps)
 
 
-def detail_coordinates(places: torch.Tensor) -> torch.Tensor:
-    """(..., 2) azimuth and elevation, -1 to 1 within `EXTENT`, of places (..., 3)."""
-    whole = torch.tensor([180.0 / EXTENT[0], 90.0 / EXTENT[1]], device=places.device)
+def detail_coordinates(places: torch.Tensor, extent: tuple[float, float] = EXTENT) -> torch.Tensor:
+    """(..., 2) azimuth and elevation, -1 to 1 within an extent, of places (..., 3)."""
+    whole = torch.tensor([180.0 / extent[0], 90.0 / extent[1]], device=places.device)
     return plane_coordinates(places) * whole

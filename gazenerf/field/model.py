@@ -11,7 +11,7 @@ from torch import nn
 
 from gazenerf.field.compositing import StreamSamples, composite_stream, composite_streams
 from gazenerf.field.config import FieldConfig
-from gazenerf.field.detail import SurfaceDetail, TextureDetail
+from gazenerf.field.detail import AROUND_EYES, SurfaceDetail, TextureDetail
 from gazenerf.field.eye_motion import EYE_MOTIONS, EyeCentres, EyePose
 from gazenerf.field.neural_renderer import NeuralRenderer
 from gazenerf.field.streams import Stream, StreamCondition
@@ -28,6 +28,7 @@ class TwoStreamField(nn.Module):
         streams: `face` and `eyes`, or `head` alone.
         renderer: Shared by all pictures.
         texture_detail: What texture codes say of the skin beyond the streams, in fields that have it; else None.
+        lashes: How dark lashes make lids, as logarithms of the pictures' colour ratios; None of fields without them.
         detail: What is added to pictures of the face, in fields that were fine-tuned to one person; else None.
         eye_centres: Where the eyeballs turn, of fields whose eyes turn rigidly.
         about: Provenance stored with the weights, JSON-able.
@@ -43,6 +44,7 @@ class TwoStreamField(nn.Module):
         self.renderer = NeuralRenderer(config)
         self.eye_centres = EyeCentres(config.identity) if config.eye_motion == "rigid" else None
         self.texture_detail = TextureDetail(config) if any(config.detail) else None
+        self.lashes = SurfaceDetail(torch.zeros(1, *config.lashes), AROUND_EYES) if any(config.lashes) else None
         self.detail: SurfaceDetail | None = None
         self.about: dict[str, Any] = {}
         self.weights_hash = ""

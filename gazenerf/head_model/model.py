@@ -28,6 +28,9 @@ LID_CLEARANCE = 0.055 * EYE_RADIUS
 LOWEST, HIGHEST = 0.008, 0.92
 """Albedo of the skin is clipped to these."""
 
+LASH_DARKNESS = 0.82
+"""Share of the light that lashes take from the skin on which they are painted."""
+
 
 class ParametricHead:
     """A head derived from the CC0 MakeHuman data (see docs/head-model.md).
@@ -50,6 +53,10 @@ class ParametricHead:
         self.albedo_basis = (
             data["albedo_basis"].astype(np.float32) * data["albedo_scale"].astype(np.float32)[:, None, None]
         )
+        lashes = data["lashes"].astype(np.float32) / 255.0 if "lashes" in data else np.zeros(1, np.float32)
+        self.lash_light = np.broadcast_to(1.0 - LASH_DARKNESS * lashes, len(self.albedo_mean))
+        self.albedo_mean = self.albedo_mean * self.lash_light[:, None]
+        self.albedo_basis = self.albedo_basis * self.lash_light[:, None]
         self.occlusion = data["occlusion"].astype(np.float32) / 255.0
         self.landmarks = data["landmarks"].astype(np.int64)
         self.variance_kept = float(data["variance_kept"])

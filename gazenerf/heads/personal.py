@@ -76,7 +76,7 @@ def with_changes(field: TwoStreamField, changes: Mapping[str, torch.Tensor]) -> 
     tuned.load_state_dict(weights, assign=True)
     for name in field.streams:
         tuned.stream(name).plane = _plane(changes, name, field.config.hidden // 2)
-    tuned.texture_detail, tuned.detail = None, _detail(changes)
+    tuned.texture_detail, tuned.lashes, tuned.detail = None, None, _detail(changes)
     tuned.about, tuned.weights_hash, tuned.untuned = field.about, field.weights_hash, (field,)
     return tuned.eval().requires_grad_(False)
 

@@ -37,8 +37,8 @@ def with_detail(
         seen: Along these rays.
     """
     head = bounds[0].head
-    skin, own, hair = head.texture_detail, head.field.detail, head.hair
-    if skin is None and own is None and hair is None:
+    skin, lashes, own, hair = head.texture_detail, head.field.lashes, head.field.detail, head.hair
+    if skin is None and lashes is None and own is None and hair is None:
         return pictures
     points = grid.rays_o + seen.distance.nan_to_num()[:, None] * grid.rays_d
     places = torch.empty_like(points)
@@ -68,7 +68,9 @@ def with_detail(
         on_skin = torch.where(on_hair[:, 0, ..., None] > 0.5, hair.root_places(points), at)
     if skin is not None:
         brighter = brighter + skin(on_skin)
-    if skin is not None or hair is not None:
+    if lashes is not None:
+        brighter = brighter + lashes(at)
+    if skin is not None or lashes is not None or hair is not None:
         detailed = (detailed + DARK) * (brighter * share).exp() - DARK
     if own is not None:
         detailed = detailed + own(at) * share

@@ -17,16 +17,21 @@ from scipy import ndimage
 from gazenerf.checkpoints import field_from_weights
 from gazenerf.data.surface_points import template_of
 from gazenerf.errors import UserError
-from gazenerf.field.detail import EXTENT, detail_coordinates
+from gazenerf.field.detail import AROUND_EYES, DARK, EXTENT, detail_coordinates
 from gazenerf.field.model import TwoStreamField
 from gazenerf.head_model import load_head_model
 from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, FACE, HeadMesh
 from gazenerf.head_model.model import ParametricHead
 from gazenerf.head_model.ray_scenes import ray_scene, tensor
 from gazenerf.head_model.sampling import sample_person
+from gazenerf.head_model.shading import linear_to_srgb
 
 FADING, BESIDE = 12.0, 1.0
 """Degrees over which detail fades at the border of what it covers, and beside the openings of eyes and mouth."""
+
+OUTWARDS, EDGE = 0.45, (0.15, 0.5)
+"""Degrees by which lashes of fields reach further from the opening than the head model's, and from its edge between
+which they begin, since lids that a field draws have soft and light edges."""
 
 INNER_LIPS = range(60, 68)
 """Standard landmarks around the opening of the mouth."""
@@ -46,12 +51,14 @@ class DetailOptions:
         people: How many texture codes are drawn, to know how much each varies.
         size: Rows and columns of the maps.
         rank: How many maps.
+        lashes: Rows and columns of the map of lashes, 0, 0 for fields that learned from pictures with lashes.
         seed: Draws the codes.
     """
 
     people: int = 600
     size: tuple[int, int] = (216, 288)
     rank: int = 24
+    lashes: tuple[int, int] = (224, 640)
     seed: int = 11
 
 
@@ -75,7 +82,10 @@ def learn_texture_detail(field: TwoStreamField, options: DetailOptions | None = 
     codes = np.stack([[1.0, *sample_person(rng, model).texture] for rng in rngs])
     varying = np.sqrt(np.mean(np.square(codes), axis=0)).clip(min=1e-3)
     share = skin.share(FADING, BESIDE)
-    return with_texture_detail(without_detail(field), skin.albedo(), share, varying, options.rank)
+    found = with_texture_detail(without_detail(field), skin.albedo(), share, varying, options.rank)
+    if not any(options.lashes):
+        return found
+    return with_lashes(found, TemplateSkin(model, options.lashes, field.template_jaw, AROUND_EYES).lashes())
 
 
 class TemplateSkin:
@@ -85,10 +95,13 @@ class TemplateSkin:
         model: The head model.
         size: Rows and columns of directions; see `gazenerf.field.detail`.
         jaw: How far its mouth is open, see `template_of`.
+        extent: Degrees of azimuth and of elevation that the directions cover on either side.
     """
 
-    def __init__(self, model: ParametricHead, size: tuple[int, int], jaw: float = 0.0) -> None:
-        self._model, self.size = model, size
+    def __init__(
+        self, model: ParametricHead, size: tuple[int, int], jaw: float = 0.0, extent: tuple[float, float] = EXTENT
+    ) -> None:
+        self._model, self.size, self.extent = model, size, extent
         template = template_of(model, jaw)
         elevation, azimuth = np.meshgrid(*map(np.radians, self._angles()), indexing="ij")
         level = np.cos(elevation)
@@ -110,32 +123,57 @@ class TemplateSkin:
     def _angles(self) -> tuple[np.ndarray, np.ndarray]:
         """Degrees of elevation of the rows and of azimuth of the columns."""
         rows, columns = ((np.arange(count) + 0.5) * 2.0 / count - 1.0 for count in self.size)
-        return rows * EXTENT[1], columns * EXTENT[0]
+        return rows * self.extent[1], columns * self.extent[0]
 
     def _between_lips(self, template: HeadMesh) -> np.ndarray:
         """(H, W) bool, directions between the lips of the template, in which a closed mouth has no places."""
         lips = torch.from_numpy(np.stack([template.landmarks[str(number)] for number in INNER_LIPS]).astype(np.float32))
         rows, columns = self.size
-        corners = (0.5 * (detail_coordinates(lips).numpy() + 1.0) * [columns, rows] - 0.5).round().astype(np.int32)
+        corners = (
+            (0.5 * (detail_coordinates(lips, self.extent).numpy() + 1.0) * [columns, rows] - 0.5)
+            .round()
+            .astype(np.int32)
+        )
         inside = np.zeros(self.size, np.uint8)
         cv2.fillPoly(inside, [corners], 1, lineType=cv2.LINE_8)
         return inside > 0
 
     def albedo(self) -> np.ndarray:
-        """(3, 1 + T, H, W) float32 linear RGB of the mean head and added per unit of each texture code; 0 beside it."""
+        """(3, 1 + T, H, W) float32 linear RGB of the mean head and added per unit of each texture code; 0 beside it.
+
+        Without lashes.
+        """
         vertices, corners = np.unique(self._corners, return_inverse=True)
-        known = self._model.albedo_at(vertices)
+        known, light = self._model.albedo_at(vertices), self._model.lash_light[vertices, None]
         corners = corners.reshape(self._corners.shape)
-        each = [np.einsum("nkc,nk->cn", values[corners], self._weights) for values in (known.mean, *known.basis)]
+        each = [
+            np.einsum("nkc,nk->cn", (values / light)[corners], self._weights) for values in (known.mean, *known.basis)
+        ]
         return np.stack(each, axis=1).reshape(3, -1, *self.size).astype(np.float32)
+
+    def lashes(self) -> np.ndarray:
+        """(H, W) float32 by which lashes change the logarithm of the mean head's sRGB colours, `DARK` added."""
+        light = np.einsum("nk,nk->n", self._model.lash_light[self._corners], self._weights).reshape(self.size)
+        bare = self.albedo()[:, 0].mean(axis=0)
+        found = np.log(linear_to_srgb(bare * light) + DARK) - np.log(linear_to_srgb(bare) + DARK)
+        cell = 2.0 * self.extent[0] / self.size[1]
+        found = ndimage.grey_erosion(np.where(self._openings, 0.0, found), footprint=_disc(OUTWARDS / cell))
+        away = cv2.distanceTransform((~self._openings).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE) * cell
+        return (found * np.clip((away - EDGE[0]) / (EDGE[1] - EDGE[0]), 0.0, 1.0)).astype(np.float32)
 
     def share(self, border: float, beside: float) -> np.ndarray:
         """(H, W) in [0, 1]: 1 on the skin, falling to 0 within some degrees of the border and of the openings."""
         rows, columns = (np.clip((extent - np.abs(angles)) / border, 0.0, 1.0)
-                         for angles, extent in zip(self._angles(), EXTENT[::-1], strict=True))  # fmt: skip
+                         for angles, extent in zip(self._angles(), self.extent[::-1], strict=True))  # fmt: skip
         away = cv2.distanceTransform((~self._openings).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-        degrees = away * 2.0 * EXTENT[0] / self.size[1]
+        degrees = away * 2.0 * self.extent[0] / self.size[1]
         return np.outer(rows, columns) * np.clip(degrees / beside - 0.5, 0.0, 1.0)
+
+
+def _disc(radius: float) -> np.ndarray:
+    """(2 r + 1, 2 r + 1) bool: the cells within a radius."""
+    side = np.arange(-int(radius), int(radius) + 1)
+    return np.hypot(*np.meshgrid(side, side)) <= radius
 
 
 def _not_in_a_gap(away: np.ndarray) -> np.ndarray:
@@ -147,11 +185,13 @@ def _not_in_a_gap(away: np.ndarray) -> np.ndarray:
 
 
 def without_detail(field: TwoStreamField) -> TwoStreamField:
-    """The field without texture detail; its weights are shared."""
-    if field.texture_detail is None:
+    """The field without texture detail and lashes; its weights are shared."""
+    if field.texture_detail is None and field.lashes is None:
         return field
-    weights = {name: value for name, value in field.state_dict().items() if not name.startswith("texture_detail.")}
-    return _changed(field, weights, (0, 0, 0))
+    weights = {
+        name: value for name, value in field.state_dict().items() if not name.startswith(("texture_detail.", "lashes."))
+    }
+    return _changed(field, weights, detail=(0, 0, 0), lashes=(0, 0))
 
 
 def with_texture_detail(
@@ -175,10 +215,17 @@ def with_texture_detail(
     weights = dict(field.state_dict())
     found = {"mix": mix, "maps": maps.reshape(rank, rows, columns), "share": share}
     weights |= {f"texture_detail.{name}": torch.from_numpy(value.astype(np.float32)) for name, value in found.items()}
-    return _changed(field, weights, (rank, rows, columns))
+    return _changed(field, weights, detail=(rank, rows, columns))
 
 
-def _changed(field: TwoStreamField, weights: dict[str, torch.Tensor], detail: tuple[int, int, int]) -> TwoStreamField:
-    made = field_from_weights(weights, replace(field.config, detail=detail), "a field with other detail")
+def with_lashes(field: TwoStreamField, lashes: np.ndarray) -> TwoStreamField:
+    """A field that darkens lids by a map (H, W), see `TemplateSkin.lashes`; one that it has is replaced."""
+    weights = dict(field.state_dict()) | {"lashes.values": torch.from_numpy(lashes.astype(np.float32))[None]}
+    rows, columns = lashes.shape
+    return _changed(field, weights, lashes=(rows, columns))
+
+
+def _changed(field: TwoStreamField, weights: dict[str, torch.Tensor], **settings: tuple[int, ...]) -> TwoStreamField:
+    made = field_from_weights(weights, replace(field.config, **settings), "a field with other detail")
     made.about = field.about
     return made

@@ -11,8 +11,10 @@ import trimesh
 from gazenerf.errors import UserError
 from gazenerf.geometry import Gaze
 from gazenerf.head_model import EYE_LEFT, EYE_RIGHT, FACE, HeadMesh, load_head_model
-from gazenerf.head_model.assets import BUNDLED
+from gazenerf.head_model.assets import BUNDLED, read_arrays
+from gazenerf.head_model.model import ParametricHead
 from gazenerf.head_model.sampling import sample_expression, sample_person
+from gazenerf.subjects import Codes
 
 ARKIT_SAMPLES = {"jawOpen", "mouthSmileLeft", "eyeBlinkRight", "eyeLookUpLeft", "browInnerUp", "noseSneerLeft"}
 GAZES = [(0, 0), (25, 0), (-25, 0), (0, 35), (0, -35), (25, 35), (-25, -35)]
@@ -216,3 +218,19 @@ def test_codes_of_other_sizes_are_refused(head, mean_codes):
 
 def test_bundled_model_is_read_once():
     assert load_head_model() is load_head_model()
+
+
+def test_lashes_darken_the_edges_of_the_lids_and_old_files_have_none(head):
+    arrays = read_arrays(BUNDLED)
+    bare = ParametricHead({name: values for name, values in arrays.items() if name != "lashes"}, "bare")
+    codes = Codes(*(np.zeros(size, np.float32) for size in head.code_sizes))
+    mesh, lighter = head.mesh(codes, Gaze()), bare.mesh(codes, Gaze())
+    skin = slice(0, len(head.albedo_mean))
+    dark, free = head.lash_light < 0.9, head.lash_light == 1.0
+    assert (bare.lash_light == 1.0).all() and 1000 < dark.sum() < 5000 and head.lash_light.min() < 0.25
+    away = np.linalg.norm(mesh.vertices[skin][dark][:, None] - mesh.eye_centres, axis=2).min(axis=1)
+    assert away.max() < 1.4 * mesh.eye_radius
+    np.testing.assert_array_equal(mesh.albedo[skin][free], lighter.albedo[skin][free])
+    assert (mesh.albedo[skin][dark] < lighter.albedo[skin][dark]).all()
+    with pytest.raises(ValueError):
+        ParametricHead(arrays | {"lashes": arrays["lashes"][:-3]}, "damaged")

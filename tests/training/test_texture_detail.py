@@ -12,7 +12,7 @@ import torch
 from gazenerf.checkpoints import load_field, save_field
 from gazenerf.errors import UserError
 from gazenerf.field.config import FieldConfig
-from gazenerf.field.detail import DARK
+from gazenerf.field.detail import AROUND_EYES, DARK
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model import load_head_model
 from gazenerf.head_model.interface import FACE
@@ -26,6 +26,7 @@ from gazenerf.training.texture_detail import (
     DetailOptions,
     TemplateSkin,
     learn_texture_detail,
+    with_lashes,
     with_texture_detail,
     without_detail,
 )
@@ -148,3 +149,41 @@ def test_nothing_is_painted_between_lips_that_are_open_on_the_template() -> None
     elsewhere = np.ones(cells, bool)
     elsewhere[: 3 * cells[0] // 10] = False
     np.testing.assert_allclose(opened[elsewhere], shut[elsewhere], atol=0.2)
+
+
+def test_lashes_lie_along_the_lids_and_darken_them() -> None:
+    lashes = TemplateSkin(load_head_model(), (112, 320), 0.0, AROUND_EYES).lashes()
+    assert lashes.max() <= 1e-6 and -0.9 < lashes.min() < -0.6
+    dark = lashes < -0.1
+    assert 0.002 < dark.mean() < 0.05
+    np.testing.assert_allclose(dark.mean(axis=0), dark[:, ::-1].mean(axis=0), atol=0.03)
+    rows, columns = np.nonzero(dark)
+    assert np.abs((columns + 0.5) / 160.0 - 1.0).min() * AROUND_EYES[0] > 5.0  # nothing between the eyes
+    upper = rows > 0.5 * (rows.min() + rows.max())
+    assert np.abs(lashes[dark])[upper].sum() > 1.5 * np.abs(lashes[dark])[~upper].sum()
+
+
+def test_a_field_draws_lashes_at_the_eyes_alone() -> None:
+    bundled, subject, camera = load_field("portrait-sdf"), load_subject("noa"), Camera.orbit(0.0, size=256)
+    assert bundled.lashes is not None and any(bundled.config.lashes)
+    bare = without_detail(bundled)
+    assert bare.lashes is None and bare.config.lashes == (0, 0)
+    with_them = with_lashes(bare, bundled.lashes.values[0].detach().numpy())
+    for gaze in (Gaze(), Gaze(np.deg2rad(-15.0), 0.1)):
+        before, after = (Head(one, subject).at(gaze).render(camera) for one in (bare, with_them))
+        ratio = (after.image + DARK) / (before.image + DARK)
+        changed = np.abs(ratio - 1.0).max(axis=-1) > 0.05
+        assert ratio.max() < 1.001 and ratio.min() < 0.8 and changed.sum() > 40
+        places, _ = camera.project(load_head_model().mesh(subject.codes, gaze).eye_centres.astype(np.float64))
+        near = np.linalg.norm(np.argwhere(changed)[:, None, ::-1] + 0.5 - places, axis=2).min(axis=1)
+        assert near.max() < 25.0
+
+
+def test_lashes_need_rows_columns_and_a_template() -> None:
+    for settings, message in (
+        ({"lashes": (3, 0)}, "lashes have rows and columns, or neither"),
+        ({"lashes": (3, 9999)}, "lashes out of range"),
+        ({"lashes": (3, 4)}, "lashes are kept by place on the template"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            FieldConfig(**settings)
