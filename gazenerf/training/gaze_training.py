@@ -26,6 +26,9 @@ JITTER = 0.02
 SOFT, SOFTEST = 0.5, (100, 400)
 """Share of the pictures whose eye windows training takes down and back up, as smaller pictures are, and their sides."""
 
+BLOCK = 256
+"""Pictures that are kept in one tensor."""
+
 MEASURE_EVERY = 10
 """Epochs between two measurements on held-out pictures."""
 
@@ -78,8 +81,9 @@ class EstimatorData:
         Raises:
             UserError: no capture shows an eye.
         """
-        small, around, gaze, eyes, towards, images = [], [], [], [], [], []
         margin = round(JITTER * layout.side)
+        kept = _Blocks(), _Blocks(), _Blocks()
+        gaze, eyes, towards = [], [], []
         for capture in captures:
             if not readable(capture):
                 continue
@@ -88,20 +92,42 @@ class EstimatorData:
             camera = capture.camera
             pixels = camera.project(eye_centres(capture))[0] * 2.0 / np.array([camera.width, camera.height]) - 1.0
             places = torch.from_numpy(pixels).float()
-            small.append(overview(image, layout).round().to(torch.uint8))
-            cut = eye_window(image.expand(2, -1, -1, -1), places, layout.window, margin)
-            around.append(cut[None].round().to(torch.uint8))
+            around = eye_window(image.expand(2, -1, -1, -1), places, layout.window, margin)
+            kept[0].add(overview(image, layout)[0])
+            kept[1].add(around)
             if whole:
-                images.append(image.to(torch.uint8))
+                kept[2].add(image[0])
             gaze.append(capture.gaze.label)
             eyes.append(places)
             towards.append(camera.position / np.linalg.norm(camera.position))
         if not gaze:
             raise UserError("no capture shows an eye; synthesize views from the front")
+        small, windows, images = (block.joined() for block in kept)
+        assert small is not None and windows is not None
         return cls(
-            layout, torch.cat(small), torch.cat(around), torch.from_numpy(np.stack(gaze)).float(), torch.stack(eyes),
-            torch.from_numpy(np.stack(towards)).float(), torch.cat(images) if whole else None,
+            layout, small, windows, torch.from_numpy(np.stack(gaze)).float(), torch.stack(eyes),
+            torch.from_numpy(np.stack(towards)).float(), images,
         )  # fmt: skip
+
+
+class _Blocks:
+    """Tensors of one shape in few large ones: many small ones between large temporary ones would fragment the heap."""
+
+    def __init__(self) -> None:
+        self._blocks: list[torch.Tensor] = []
+        self._count = 0
+
+    def add(self, values: torch.Tensor) -> None:
+        """Keep one more, as whole numbers."""
+        row = self._count % BLOCK
+        if row == 0:
+            self._blocks.append(torch.empty(BLOCK, *values.shape, dtype=torch.uint8))
+        self._blocks[-1][row] = values.round().to(torch.uint8)
+        self._count += 1
+
+    def joined(self) -> torch.Tensor | None:
+        """(N, ...) all of them; None where there are none."""
+        return torch.cat(self._blocks)[: self._count] if self._blocks else None
 
 
 def readable(capture: Capture) -> bool:
