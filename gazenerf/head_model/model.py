@@ -28,7 +28,7 @@ LID_CLEARANCE = 0.055 * EYE_RADIUS
 LOWEST, HIGHEST = 0.008, 0.92
 """Albedo of the skin is clipped to these."""
 
-LASH_DARKNESS = 0.82
+LASH_DARKNESS = 0.55
 """Share of the light that lashes take from the skin on which they are painted."""
 
 

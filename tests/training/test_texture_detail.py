@@ -153,8 +153,8 @@ def test_nothing_is_painted_between_lips_that_are_open_on_the_template() -> None
 
 def test_lashes_lie_along_the_lids_and_darken_them() -> None:
     lashes = TemplateSkin(load_head_model(), (112, 320), 0.0, AROUND_EYES).lashes()
-    assert lashes.max() <= 1e-6 and -0.9 < lashes.min() < -0.6
-    dark = lashes < -0.1
+    assert lashes.max() <= 1e-6 and -0.45 < lashes.min() < -0.2
+    dark = lashes < -0.05
     assert 0.002 < dark.mean() < 0.05
     np.testing.assert_allclose(dark.mean(axis=0), dark[:, ::-1].mean(axis=0), atol=0.03)
     rows, columns = np.nonzero(dark)
