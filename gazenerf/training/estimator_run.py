@@ -20,7 +20,7 @@ from gazenerf.options import option
 from gazenerf.progress import Progress, silent
 from gazenerf.training.estimator_loop import EpochSettings, labels_hash, train_epochs
 from gazenerf.training.estimator_shards import checked, person_of, shards_of, split_shards
-from gazenerf.training.gaze_estimator import save_gaze_estimator
+from gazenerf.training.gaze_estimator import FINE, load_gaze_estimator, save_gaze_estimator
 from gazenerf.training.gaze_training import EstimatorData, train_gaze_estimator
 from gazenerf.training.pose_estimator import PoseEstimator, save_pose_estimator, start_from
 from gazenerf.training.pose_training import PoseData, pose_errors, pose_loss
@@ -41,7 +41,7 @@ class EstimatorOptions:
         held_out: People (the last ones) that are only measured.
         test: Captures of other people, only measured.
         more: Folders of captures, all of whose people are learned from, too.
-        initial: Weights of an ImageNet ResNet50 to start from.
+        initial: Weights to start from: of an ImageNet ResNet50, or of another small network.
         epochs, batch, learning_rate, seed: See `EpochSettings`; by network where not given.
         device: Where ResNet50 learns; the small network always learns on the CPU.
     """
@@ -55,7 +55,10 @@ class EstimatorOptions:
         (), "captures of other people to learn from, too, of any size", metavar="DIR", url=True
     )
     initial: Path | None = option(
-        None, "start from these weights of torchvision's or timm's ResNet50", flag="--from", metavar="FILE"
+        None,
+        "start from these weights: torchvision's or timm's ResNet50, or another small network",
+        flag="--from",
+        metavar="FILE",
     )
     epochs: int | None = option(None, "passes over the captures (default: 25, small 60)", metavar="N")
     batch: int = option(32, "pictures a step (default: 32)", metavar="N")
@@ -79,8 +82,6 @@ class EstimatorOptions:
                 "--epochs and --held-out must be at least 1, --batch at least 2, --learning-rate between 0 and 1, "
                 "--seed 0 or more"
             )
-        if self.initial is not None and self.network != "resnet50":
-            raise UserError("--from is for --network resnet50; leave it out")
         if self.out.suffix != ".safetensors":
             raise UserError(f"--out {self.out} must end in .safetensors")
         return EpochSettings(epochs, self.batch, rate, self.seed)
@@ -168,13 +169,16 @@ def _train_small(run: _Run) -> dict[str, Any]:
 
     def read(shards: Sequence[Path], whole: bool) -> EstimatorData:
         centres = lambda capture: model.eye_centres(capture.codes.identity)  # noqa: E731
-        return EstimatorData.of(checked(shards), centres, whole=whole)
+        return EstimatorData.of(checked(shards), centres, layout, whole)
 
+    initial = None if run.options.initial is None else load_gaze_estimator(run.options.initial)
+    layout = FINE if initial is None else initial.layout
     data = read(run.learned, whole=False)
     held_out = {name: read(shards, whole=True) for name, shards in run.sets.items()}
     estimator = train_gaze_estimator(
         data, held_out, epochs=settings.epochs, batch=settings.batch,
-        learning_rate=settings.learning_rate, seed=settings.seed, state=run.state,
+        learning_rate=settings.learning_rate, seed=settings.seed, initial=initial,
+        start="" if run.options.initial is None else run.options.initial.name, state=run.state,
         about={**run.about, "head_model": model.name}, on_step=run.on_step(len(data)),
     )  # fmt: skip
     save_gaze_estimator(estimator, run.options.out)

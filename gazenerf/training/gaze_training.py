@@ -178,6 +178,8 @@ def train_gaze_estimator(
     batch: int = 32,
     learning_rate: float = 2e-3,
     seed: int = 0,
+    initial: GazeEstimator | None = None,
+    start: str = "",
     state: str | Path | None = None,
     about: dict[str, Any] | None = None,
     on_step: Callable[[int], None] = lambda _: None,
@@ -189,6 +191,7 @@ def train_gaze_estimator(
         data: What to learn from.
         held_out: Named sets that are only measured; their errors go into `about`.
         epochs, batch, learning_rate: Of AdamW with a cosine schedule.
+        initial: Weights to begin with, of the layout that the data are cut for; start: what they are called.
         state: Written after every epoch, to resume from.
         on_step: Called with the steps that are done.
         on_epoch: Called with (epochs done, mean loss, errors so far); errors are measured every tenth epoch.
@@ -198,6 +201,8 @@ def train_gaze_estimator(
     """
     torch.manual_seed(seed)
     estimator = GazeEstimator(data.layout)
+    if initial is not None:
+        estimator.load_state_dict(initial.state_dict())
     errors: dict[str, dict[str, Any]] = {}
 
     def loss_of(rows: torch.Tensor) -> torch.Tensor:
@@ -210,7 +215,7 @@ def train_gaze_estimator(
             on_epoch(epoch, loss, errors)
 
     settings = EpochSettings(epochs, batch, learning_rate, seed)
-    which = {"labels": labels_hash(data.gaze, data.towards)}
+    which = {"labels": labels_hash(data.gaze, data.towards), **({} if initial is None else {"from": start})}
     run = train_epochs(
         estimator, loss_of, len(data), settings, about=which, state=state, on_step=on_step, on_epoch=after
     )  # fmt: skip

@@ -17,7 +17,7 @@ from gazenerf.training import estimator_run
 from gazenerf.training.estimator_run import EstimatorOptions, train_estimator
 from gazenerf.training.estimator_shards import checked, split_shards
 from gazenerf.training.estimators import load_view_reader
-from gazenerf.training.gaze_estimator import GazeEstimator
+from gazenerf.training.gaze_estimator import GazeEstimator, load_gaze_estimator
 from gazenerf.training.pose_estimator import PoseEstimator
 
 from .conftest import EYES, toy_capture
@@ -100,6 +100,19 @@ def test_the_network_learns(options):
     assert after["head"]["mean_deg"] < 0.8 * before["head"]["mean_deg"]
 
 
+def test_a_small_network_goes_on_from_another(options):
+    options = replace(options, network="small", epochs=12, learning_rate=2e-3)
+    first = train_estimator(options)
+    slowly = replace(options, epochs=1, learning_rate=1e-9, out=options.out.with_name("second.safetensors"))
+    second = train_estimator(replace(slowly, initial=first.file))
+    assert second.about["training"]["from"] == "e.safetensors"
+    scratch = train_estimator(replace(slowly, out=options.out.with_name("third.safetensors")))
+    before, after, other = (
+        load_gaze_estimator(made.file).state_dict()["head.2.weight"] for made in (first, second, scratch)
+    )
+    assert float((other - before).abs().max()) > 5.0 * float((after - before).abs().max())
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -109,7 +122,7 @@ def test_the_network_learns(options):
         ({"learning_rate": float("nan")}, "--learning-rate"),
         ({"held_out": 0}, "--held-out"),
         ({"held_out": 3}, "nobody is left"),
-        ({"network": "small", "initial": Path("x.pth")}, "--from is for"),
+        ({"network": "small", "initial": Path("x.safetensors")}, "no gaze estimator at x.safetensors"),
         ({"initial": Path("none.pth")}, "there is no none.pth"),
         ({"out": Path("e.pt")}, "must end in .safetensors"),
         ({"data": Path("nowhere")}, "no captures in nowhere"),
