@@ -189,7 +189,7 @@ class FieldConfig:
         for name, value in data.items():
             default = known[name].default
             if isinstance(default, tuple) or name in ("trained_gaze_range", "eyes_box"):
-                number = int if name in ("detail", "lashes") else float
+                number = type(default[0]) if isinstance(default, tuple) else float
                 value = None if value is None else tuple(number(item) for item in value)
             elif isinstance(default, bool):
                 value = bool(value)

@@ -97,10 +97,14 @@ def photograph_lesson(seen: Seen, codes: Codes, gaze: Gaze, size: int) -> Lesson
 
 def _eyes_and_mouth(landmarks: FaceLandmarks, shape: tuple[int, int]) -> np.ndarray:
     """(H, W) bool: between the lids and between the lips, and their edges."""
-    radius = max(1, round(EMPHASIS_GROWN * landmarks.interocular))
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
     inside = eye_openings(landmarks, shape) | between_lips(landmarks, shape)
-    return cv2.dilate(inside.astype(np.uint8), disc) > 0
+    return cv2.dilate(inside.astype(np.uint8), disc(EMPHASIS_GROWN * landmarks.interocular)) > 0
+
+
+def disc(radius: float) -> np.ndarray:
+    """A disc of so many pixels, but at least 1, for OpenCV's morphology."""
+    side = 2 * max(1, round(radius)) + 1
+    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
 
 
 def _square(seen: Seen) -> tuple[np.ndarray, float]:

@@ -15,7 +15,7 @@ from gazenerf.geometry import Gaze
 from gazenerf.heads import Head
 from gazenerf.heads.detail_cells import seen_cells
 from gazenerf.photographs.appearance import Seen, eye_openings
-from gazenerf.photographs.lessons import Lesson, moved_to_square, photograph_lesson
+from gazenerf.photographs.lessons import Lesson, disc, moved_to_square, photograph_lesson
 
 TEXEL = 0.25
 """Degrees; about 0.4 mm on the face."""
@@ -63,7 +63,7 @@ def _told(seen: Seen, lesson: Lesson, lids_move: bool) -> np.ndarray:
     told = lesson.mask.numpy() > 0.5
     if lids_move:
         return _faded(told, FADING * apart, 2.0) * _faded(~openings, AT_LIDS * apart, 1.0)
-    away = cv2.dilate(openings.astype(np.uint8), _disc(AROUND_EYES * apart)) == 0
+    away = cv2.dilate(openings.astype(np.uint8), disc(AROUND_EYES * apart)) == 0
     return _faded(told & away, FADING * apart, 2.0)
 
 
@@ -71,11 +71,6 @@ def _faded(inside: np.ndarray, deviation: float, shrunk: float) -> np.ndarray:
     """A mask (H, W) shrunk by so many deviations and smoothed by one, pixels but at least 1: float32."""
     deviation = max(1.0, deviation)
     shrunken = cv2.erode(
-        inside.astype(np.uint8), _disc(shrunk * deviation), borderType=cv2.BORDER_CONSTANT, borderValue=0
+        inside.astype(np.uint8), disc(shrunk * deviation), borderType=cv2.BORDER_CONSTANT, borderValue=0
     )
     return cv2.GaussianBlur(shrunken.astype(np.float32), (0, 0), deviation)
-
-
-def _disc(radius: float) -> np.ndarray:
-    side = 2 * max(1, round(radius)) + 1
-    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))

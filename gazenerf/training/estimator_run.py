@@ -168,8 +168,9 @@ def _train_small(run: _Run) -> dict[str, Any]:
     model, settings = load_head_model(), run.settings
 
     def read(shards: Sequence[Path], whole: bool) -> EstimatorData:
-        centres = lambda capture: model.eye_centres(capture.codes.identity)  # noqa: E731
-        return EstimatorData.of(checked(shards), centres, layout, whole)
+        return EstimatorData.of(
+            checked(shards), lambda capture: model.eye_centres(capture.codes.identity), layout, whole
+        )
 
     initial = None if run.options.initial is None else load_gaze_estimator(run.options.initial)
     layout = FINE if initial is None else initial.layout

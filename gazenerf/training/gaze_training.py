@@ -61,7 +61,7 @@ class EstimatorData:
     @property
     def jitter(self) -> int:
         """Pixels of room on each side of the eye windows."""
-        return round(JITTER * self.layout.side)
+        return (self.around.shape[-2] - self.layout.window[0]) // 2
 
     @classmethod
     def of(
