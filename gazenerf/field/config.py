@@ -53,6 +53,8 @@ class FieldConfig:
             (see `gazenerf.field.detail`).
         lashes: Rows and columns of the map of how dark lashes make lids, for fields whose training had none; 0, 0 of
             others.
+        eye_detail: Whether fibres of the irises and highlights of the corneas are drawn on the eyeballs, of fields of
+            distances whose features are too coarse for them (see `gazenerf.heads.eye_detail`).
         metres_per_unit: Size of a world unit.
         sampler: How pictures are sampled: `slabs` (published) or `guided` (found surface, then a shell).
         shell: Half width of the guided shell, world units; shell_samples: its samples per ray.
@@ -96,6 +98,7 @@ class FieldConfig:
     feature_spread: float = 0.0
     detail: tuple[int, int, int] = (0, 0, 0)
     lashes: tuple[int, int] = (0, 0)
+    eye_detail: bool = False
     metres_per_unit: float = 0.1
     sampler: str = "slabs"
     shell: float = 0.25
@@ -130,6 +133,7 @@ class FieldConfig:
         need(len(self.lashes) == 2 and all(0 <= side <= MAX_SIZE for side in self.lashes), "lashes out of range")
         need(all(self.lashes) or not any(self.lashes), "lashes have rows and columns, or neither")
         need(not any(self.lashes) or self.features_at == "template", "lashes are kept by place on the template")
+        need(not self.eye_detail or self.geometry == "distance", "detail of the eyes needs distances")
         need(self.features_at != "template" or self.geometry == "distance", "places on a template need distances")
         need(0 < self.frequencies <= 32 and 1 < self.samples <= MAX_SAMPLES, "frequencies or samples out of range")
         need(1 < self.shell_samples <= MAX_SAMPLES and self.shell > 0, "shell out of range")

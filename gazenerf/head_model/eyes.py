@@ -12,6 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from gazenerf.head_model.lids import smoothstep
 from gazenerf.head_model.points import LinearAlbedo
 
 RADIUS_MM = 12.0
@@ -21,8 +22,16 @@ CORNEA_BULGE = 0.04
 IRIS_CODES = 4
 ALBEDO_RANGE = (0.01, 0.95)
 
+CORNEA_MM = 7.8
+"""Radius of the surface of a human cornea, which reflects; the mesh bulges less."""
+
 IRIS_ANGLE = float(np.arcsin(IRIS_MM / RADIUS_MM))
 PUPIL_ANGLE = float(np.arcsin(PUPIL_MM / RADIUS_MM))
+RINGS_END = 1.15 * IRIS_ANGLE
+"""Angle up to which rings of vertices lie close together."""
+
+CORNEA_CENTRE = float(RADIUS_MM * np.cos(IRIS_ANGLE) - np.sqrt(CORNEA_MM**2 - IRIS_MM**2)) / RADIUS_MM
+"""Where the cornea's centre lies on the optical axis, in eyeball radii: it meets the sclera around the iris."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +44,7 @@ class EyeMesh:
         mean: (V, 3) linear RGB albedo of the mean eye.
         basis: (IRIS_CODES, V, 3) albedo added per unit of each iris code.
         iris: Index of the vertex at the centre of the pupil.
+        ring_angles: (R,) of the rings of vertices about the optical axis, radians; the others are the two poles.
     """
 
     vertices: np.ndarray
@@ -42,15 +52,35 @@ class EyeMesh:
     mean: np.ndarray
     basis: np.ndarray
     iris: int
+    ring_angles: np.ndarray
 
     def albedo(self, codes: np.ndarray) -> np.ndarray:
         """(V, 3) linear RGB for iris codes (IRIS_CODES,): brown to blue, green, brightness, warmth."""
         return np.clip(self.mean + np.tensordot(codes, self.basis, 1), *ALBEDO_RANGE).astype(np.float32)
 
 
-def _smoothstep(low: float, high: float, values: np.ndarray) -> np.ndarray:
-    t = np.clip((values - low) / (high - low), 0.0, 1.0)
-    return t * t * (3.0 - 2.0 * t)
+def surface_radius(angles: np.ndarray) -> np.ndarray:
+    """Distance of the surface from the centre, in eyeball radii, at angles (...) from the optical axis."""
+    return 1.0 + CORNEA_BULGE * (1.0 - smoothstep(0.0, 1.1 * IRIS_ANGLE, angles))
+
+
+def reflecting_normals(places: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """Normals by which an eye reflects: those of a human cornea over the iris, those of the ball around it.
+
+    Args:
+        places: (N, 3) on the surface, from the eyeball's centre, in eyeball radii.
+        axis: (3,) unit, where the eye looks.
+
+    Returns:
+        (N, 3) unit.
+    """
+    outward = places / np.linalg.norm(places, axis=1, keepdims=True)
+    cornea = places - CORNEA_CENTRE * axis
+    cornea = cornea / np.linalg.norm(cornea, axis=1, keepdims=True)
+    angle = np.arccos(np.clip(outward @ axis, -1.0, 1.0))
+    white = smoothstep(0.95 * IRIS_ANGLE, 1.1 * IRIS_ANGLE, angle)[:, None]
+    mixed = cornea + white * (outward - cornea)
+    return mixed / np.linalg.norm(mixed, axis=1, keepdims=True)
 
 
 @lru_cache(maxsize=1)
@@ -62,15 +92,14 @@ def build_eye_mesh(around: int = 64) -> EyeMesh:
     """
     angles = np.concatenate(
         [
-            np.linspace(0.0, 1.15 * IRIS_ANGLE, 32)[1:],
-            np.linspace(1.15 * IRIS_ANGLE, np.pi, 26)[1:-1],
+            np.linspace(0.0, RINGS_END, 32)[1:],
+            np.linspace(RINGS_END, np.pi, 26)[1:-1],
         ]
     )
     turn = 2.0 * np.pi * np.arange(around) / around
     theta = np.concatenate([[0.0], np.repeat(angles, around), [np.pi]])
     phi = np.concatenate([[0.0], np.tile(turn, len(angles)), [0.0]])
-    bulge = 1.0 + CORNEA_BULGE * (1.0 - _smoothstep(0.0, 1.1 * IRIS_ANGLE, theta))
-    vertices = bulge[:, None] * np.stack(
+    vertices = surface_radius(theta)[:, None] * np.stack(
         [np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=1
     )
     faces = []
@@ -85,8 +114,9 @@ def build_eye_mesh(around: int = 64) -> EyeMesh:
         faces.append([base + j, last, base + k])
     mean, basis = _eye_albedo(theta, phi)
     return EyeMesh(
-        vertices.astype(np.float32), np.array(faces, np.int32), mean.astype(np.float32), basis.astype(np.float32), 0
-    )
+        vertices.astype(np.float32), np.array(faces, np.int32), mean.astype(np.float32), basis.astype(np.float32), 0,
+        angles,
+    )  # fmt: skip
 
 
 def with_eye_albedo(
@@ -127,13 +157,13 @@ def _eye_albedo(theta: np.ndarray, phi: np.ndarray) -> tuple[np.ndarray, np.ndar
     )
     place = np.clip((theta - PUPIL_ANGLE) / (IRIS_ANGLE - PUPIL_ANGLE), 0.0, 1.0)
     collarette = np.exp(-(((place - 0.3) / 0.12) ** 2))
-    iris = _smoothstep(PUPIL_ANGLE * 0.9, PUPIL_ANGLE * 1.1, theta) * (
-        1.0 - _smoothstep(IRIS_ANGLE * 0.94, IRIS_ANGLE * 1.03, theta)
+    iris = smoothstep(PUPIL_ANGLE * 0.9, PUPIL_ANGLE * 1.1, theta) * (
+        1.0 - smoothstep(IRIS_ANGLE * 0.94, IRIS_ANGLE * 1.03, theta)
     )
-    pupil = 1.0 - _smoothstep(PUPIL_ANGLE * 0.9, PUPIL_ANGLE * 1.1, theta)
+    pupil = 1.0 - smoothstep(PUPIL_ANGLE * 0.9, PUPIL_ANGLE * 1.1, theta)
     limbus = np.exp(-(((theta - IRIS_ANGLE * 0.96) / (0.09 * IRIS_ANGLE)) ** 2))
     sclera = np.clip(1.0 - iris - pupil, 0.0, 1.0)
-    pink = _smoothstep(0.9, 1.9, theta)
+    pink = smoothstep(0.9, 1.9, theta)
     white = np.array([0.72, 0.67, 0.63]) - pink[:, None] * np.array([0.04, 0.16, 0.16])
     structure = (1.0 + 0.35 * radial * (0.3 + 0.7 * place) + 0.35 * collarette)[:, None]
     brown = np.array([0.15, 0.085, 0.045])

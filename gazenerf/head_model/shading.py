@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from gazenerf.head_model.eyes import reflecting_normals
 from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, HeadMesh
 
 ILLUMINATION_SIZE = 27
+
+HIGHLIGHT, SHARPNESS = 0.6, 180.0
+"""Linear light that an eye adds where it mirrors the strongest light, and the exponent of Blinn's lobe around it."""
 
 LOBE = np.array([1.0, *[2.0 / 3.0] * 3, *[0.25] * 5])
 """Cosine-lobe factors a_l / pi of bands 0, 1, 2."""
@@ -82,13 +86,30 @@ def shade(mesh: HeadMesh, illumination: np.ndarray, camera_position: np.ndarray 
         light = light * mesh.occlusion[:, None]
     colour = mesh.albedo * light
     if camera_position is not None:
-        eyes = np.unique(mesh.part_faces(EYE_LEFT, EYE_RIGHT))
-        view = np.asarray(camera_position) - mesh.vertices[eyes]
-        half = view / np.linalg.norm(view, axis=1, keepdims=True) + dominant_direction(illumination)
-        half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
-        shine = np.maximum((mesh.normals[eyes] * half).sum(axis=1), 0.0) ** 180.0
-        colour[eyes] += 0.6 * shine[:, None]
+        for part, name, centre in zip((EYE_LEFT, EYE_RIGHT), ("left", "right"), mesh.eye_centres, strict=True):
+            eye = np.unique(mesh.part_faces(part))
+            axis = mesh.landmarks[f"iris_{name}"] - centre
+            places, view = mesh.vertices[eye] - centre, np.asarray(camera_position) - mesh.vertices[eye]
+            shine = highlight(places / mesh.eye_radius, axis / np.linalg.norm(axis), view, illumination)
+            colour[eye] += shine[:, None]
     return linear_to_srgb(colour).astype(np.float32)
+
+
+def highlight(places: np.ndarray, axis: np.ndarray, view: np.ndarray, illumination: np.ndarray) -> np.ndarray:
+    """Light that an eye mirrors towards a camera (Blinn 1977), from where the light is strongest.
+
+    Args:
+        places: (N, 3) on the eye's surface, from its centre, in eyeball radii.
+        axis: (3,) unit, where it looks.
+        view: (N, 3) from there to the camera, of any length.
+        illumination: (27,).
+
+    Returns:
+        (N,) linear.
+    """
+    half = view / np.linalg.norm(view, axis=1, keepdims=True) + dominant_direction(illumination)
+    half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
+    return HIGHLIGHT * np.maximum((reflecting_normals(places, axis) * half).sum(axis=1), 0.0) ** SHARPNESS
 
 
 def sample_illumination(rng: np.random.Generator) -> np.ndarray:

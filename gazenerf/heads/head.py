@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from typing import TypeVar
 
 import numpy as np
@@ -24,6 +24,7 @@ from gazenerf.geometry import Gaze
 from gazenerf.geometry.paths import BeyondTraining, GazeRange
 from gazenerf.heads.batches import FrameBatches, draw_guided
 from gazenerf.heads.bound import BoundHead
+from gazenerf.heads.eye_detail import EyeDetail, eye_detail
 from gazenerf.heads.hair import hair_volume, takes_hair
 from gazenerf.heads.interface import Part
 from gazenerf.heads.lattice import Band
@@ -265,6 +266,13 @@ class Head:
                 with self.exactly():
                     self._texture_detail = skin_detail(whole, texture)
             return self._texture_detail
+
+    @cached_property
+    def eye_detail(self) -> EyeDetail | None:
+        """The detail of the subject's eyes; None where the field does not ask for any, or the eyes are learned."""
+        if not self.field.config.eye_detail or self.field.untuned:
+            return None
+        return eye_detail(self.subject.codes)
 
     def _refresh(self) -> None:
         """Forget what was found for other weights; the lock is held."""

@@ -8,6 +8,7 @@ pictures are looked at.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -52,6 +53,7 @@ class DetailOptions:
         size: Rows and columns of the maps.
         rank: How many maps.
         lashes: Rows and columns of the map of lashes, 0, 0 for fields that learned from pictures with lashes.
+        eyes: Whether fibres of irises and highlights are drawn, see `gazenerf.heads.eye_detail`.
         seed: Draws the codes.
     """
 
@@ -59,11 +61,12 @@ class DetailOptions:
     size: tuple[int, int] = (216, 288)
     rank: int = 24
     lashes: tuple[int, int] = (224, 640)
+    eyes: bool = True
     seed: int = 11
 
 
 def learn_texture_detail(field: TwoStreamField, options: DetailOptions | None = None) -> TwoStreamField:
-    """A field with texture detail; it shares its other weights.
+    """A field with texture detail, and that of lashes and eyes; it shares its other weights.
 
     Args:
         field: With features at places on the template, and the bundled head model's codes. Detail it has is replaced.
@@ -83,9 +86,9 @@ def learn_texture_detail(field: TwoStreamField, options: DetailOptions | None = 
     varying = np.sqrt(np.mean(np.square(codes), axis=0)).clip(min=1e-3)
     share = skin.share(FADING, BESIDE)
     found = with_texture_detail(without_detail(field), skin.albedo(), share, varying, options.rank)
-    if not any(options.lashes):
-        return found
-    return with_lashes(found, TemplateSkin(model, options.lashes, field.template_jaw, AROUND_EYES).lashes())
+    if any(options.lashes):
+        found = with_lashes(found, TemplateSkin(model, options.lashes, field.template_jaw, AROUND_EYES).lashes())
+    return with_eye_detail(found) if options.eyes else found
 
 
 class TemplateSkin:
@@ -185,13 +188,13 @@ def _not_in_a_gap(away: np.ndarray) -> np.ndarray:
 
 
 def without_detail(field: TwoStreamField) -> TwoStreamField:
-    """The field without texture detail and lashes; its weights are shared."""
-    if field.texture_detail is None and field.lashes is None:
+    """The field without texture detail, lashes and detail of the eyes; its weights are shared."""
+    if field.texture_detail is None and field.lashes is None and not field.config.eye_detail:
         return field
     weights = {
         name: value for name, value in field.state_dict().items() if not name.startswith(("texture_detail.", "lashes."))
     }
-    return _changed(field, weights, detail=(0, 0, 0), lashes=(0, 0))
+    return _changed(field, weights, detail=(0, 0, 0), lashes=(0, 0), eye_detail=False)
 
 
 def with_texture_detail(
@@ -225,7 +228,12 @@ def with_lashes(field: TwoStreamField, lashes: np.ndarray) -> TwoStreamField:
     return _changed(field, weights, lashes=(rows, columns))
 
 
-def _changed(field: TwoStreamField, weights: dict[str, torch.Tensor], **settings: tuple[int, ...]) -> TwoStreamField:
+def with_eye_detail(field: TwoStreamField) -> TwoStreamField:
+    """A field that draws fibres and highlights on its eyes; its weights are shared."""
+    return _changed(field, field.state_dict(), eye_detail=True)
+
+
+def _changed(field: TwoStreamField, weights: dict[str, torch.Tensor], **settings: Any) -> TwoStreamField:
     made = field_from_weights(weights, replace(field.config, **settings), "a field with other detail")
     made.about = field.about
     return made
