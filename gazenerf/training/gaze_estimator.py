@@ -132,11 +132,11 @@ class GazeEstimator(nn.Module):
         self.head = nn.Sequential(nn.Linear(2 * one + whole + 7, both), nn.ReLU(inplace=True), nn.Linear(both, 2))
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
-        """Gaze (B, 2) of sRGB pictures (B, 3, H, W) in [0, 1] on black: `read(images).gaze`."""
-        return self.read(images).gaze
+        """Gaze (B, 2) of sRGB pictures (B, 3, H, W) in [0, 1] on black: `read_both_ways(images).gaze`."""
+        return self.read_both_ways(images).gaze
 
     def read(self, images: torch.Tensor, eyes: torch.Tensor | None = None) -> Reading:
-        """Everything the network says.
+        """Everything the network says of pictures, looked at once.
 
         Args:
             images: (B, 3, H, W) sRGB in [0, 1], square, the head as a neutral camera sees it.
@@ -151,12 +151,24 @@ class GazeEstimator(nn.Module):
         windows = torch.stack([eye_window(images, looked_at[:, i], self.layout.window) for i in (0, 1)], dim=1)
         return self.read_windows(small, windows, (whole, placed))
 
+    def read_both_ways(self, images: torch.Tensor) -> Reading:
+        """The mean of what the network says of pictures, see `read`, and of their mirror images: it errs less.
+
+        A mirrored picture reads as the mirrored gaze, exactly.
+        """
+        seen, mirrored = self.read(images), self.read(images.flip(3))
+        other = mirrored.gaze.new_tensor([-1.0, 1.0])
+        gaze = 0.5 * (seen.gaze + mirrored.gaze * other.flip(0))
+        eyes = 0.5 * (seen.eyes + mirrored.eyes.flip(1) * other)
+        towards = seen.towards + mirrored.towards * mirrored.towards.new_tensor([-1.0, 1.0, 1.0])
+        return Reading(gaze, eyes, F.normalize(towards, dim=1))
+
     def read_views(self, images: torch.Tensor, camera: Camera) -> tuple[torch.Tensor, torch.Tensor]:
         """Gaze (B, 2) and direction to the camera (B, 3), see `Reading`, of pictures (B, 3, H, W) from one camera.
 
         This network finds the head itself and does not look at the camera.
         """
-        reading = self.read(images)
+        reading = self.read_both_ways(images)
         return reading.gaze, reading.towards
 
     def read_windows(

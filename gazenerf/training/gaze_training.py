@@ -154,7 +154,7 @@ def _errors(estimator: GazeEstimator, data: EstimatorData, batch: int) -> tuple[
     with torch.no_grad():
         for first in range(0, len(data), batch):
             rows = slice(first, first + batch)
-            read = estimator.read(data.images[rows].float() / 255.0)
+            read = estimator.read_both_ways(data.images[rows].float() / 255.0)
             gaze.append(angular_error(gaze_vectors(read.gaze), gaze_vectors(data.gaze[rows])))
             head.append(angular_error(read.towards, data.towards[rows]))
     return torch.rad2deg(torch.cat(gaze)).numpy(), torch.rad2deg(torch.cat(head)).numpy()

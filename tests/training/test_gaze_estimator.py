@@ -65,6 +65,19 @@ def test_gradients_reach_the_picture_at_any_size():
     assert images.grad is not None and float(images.grad.abs().sum()) > 0
 
 
+def test_a_mirrored_picture_reads_as_the_mirrored_gaze():
+    estimator, images = load_gaze_estimator(), torch.rand(2, 3, 512, 512, generator=torch.Generator().manual_seed(0))
+    with torch.no_grad():
+        seen, mirrored = (estimator.read_both_ways(pictures) for pictures in (images, images.flip(3)))
+        once = [estimator.read(pictures).gaze for pictures in (images, images.flip(3))]
+        torch.testing.assert_close(estimator(images), seen.gaze)
+    torch.testing.assert_close(mirrored.gaze, seen.gaze * torch.tensor([1.0, -1.0]), atol=1e-5, rtol=0.0)
+    torch.testing.assert_close(mirrored.eyes, seen.eyes.flip(1) * torch.tensor([-1.0, 1.0]), atol=1e-5, rtol=0.0)
+    torch.testing.assert_close(mirrored.towards, seen.towards * torch.tensor([-1.0, 1.0, 1.0]), atol=1e-5, rtol=0.0)
+    assert (once[0] - once[1] * torch.tensor([1.0, -1.0])).abs().max() > 1e-3  # looked at once it does not
+    torch.testing.assert_close(seen.gaze[:, 0], 0.5 * (once[0] + once[1])[:, 0])
+
+
 def test_what_was_saved_comes_back(tmp_path):
     estimator = GazeEstimator().eval()
     estimator.about = {"held_out": {"a": {"mean_deg": 3.0}}}
