@@ -22,16 +22,14 @@ CORNEA_BULGE = 0.04
 IRIS_CODES = 4
 ALBEDO_RANGE = (0.01, 0.95)
 
-CORNEA_MM = 7.8
-"""Radius of the surface of a human cornea, which reflects; the mesh bulges less."""
+CORNEA_AHEAD = 0.47
+"""Distance of the centre of the cornea's sphere from the eyeball's centre of rotation, in eyeball radii: 5.6 of 12 mm
+(Guestrin and Eizenman 2006, IEEE TBME 53(6), use 7.8 mm for the cornea's radius and 4.2 mm from there to the pupil)."""
 
 IRIS_ANGLE = float(np.arcsin(IRIS_MM / RADIUS_MM))
 PUPIL_ANGLE = float(np.arcsin(PUPIL_MM / RADIUS_MM))
 RINGS_END = 1.15 * IRIS_ANGLE
 """Angle up to which rings of vertices lie close together."""
-
-CORNEA_CENTRE = float(RADIUS_MM * np.cos(IRIS_ANGLE) - np.sqrt(CORNEA_MM**2 - IRIS_MM**2)) / RADIUS_MM
-"""Where the cornea's centre lies on the optical axis, in eyeball radii: it meets the sclera around the iris."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +73,7 @@ def reflecting_normals(places: np.ndarray, axis: np.ndarray) -> np.ndarray:
         (N, 3) unit.
     """
     outward = places / np.linalg.norm(places, axis=1, keepdims=True)
-    cornea = places - CORNEA_CENTRE * axis
+    cornea = places - CORNEA_AHEAD * axis
     cornea = cornea / np.linalg.norm(cornea, axis=1, keepdims=True)
     angle = np.arccos(np.clip(outward @ axis, -1.0, 1.0))
     white = smoothstep(0.95 * IRIS_ANGLE, 1.1 * IRIS_ANGLE, angle)[:, None]

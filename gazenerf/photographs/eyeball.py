@@ -8,10 +8,7 @@ import cv2
 import numpy as np
 
 from gazenerf.geometry import Camera, Gaze
-
-CORNEA_AHEAD = 0.47
-"""Distance of the centre of the cornea's sphere from the eyeball's centre of rotation, in eyeball radii: 5.6 of 12 mm
-(Guestrin and Eizenman 2006, IEEE TBME 53(6), use 7.8 mm for the cornea's radius and 4.2 mm from there to the pupil)."""
+from gazenerf.head_model.eyes import CORNEA_AHEAD
 
 
 @dataclass(frozen=True)
