@@ -138,7 +138,6 @@ def _frames(
     paths: dict[str, tuple[BoundField, int]] = {
         "guided": (head.at(GAZE), rounds),
         "baked": (baked.at(GAZE), rounds),
-        "baked, gaze held": (baked.at(Gaze()), rounds),
     }
     if upsampler == "reference":
         exact = Head(field, subject, sampler="slabs", precision=precision, upsampler=upsampler)
@@ -149,7 +148,6 @@ def _frames(
     for name, some, gaze in (
         ("guided, together", head, GAZE),
         ("baked, together", baked, GAZE),
-        ("baked, together, gaze held", baked, Gaze()),
     ):
         bound, frames = some.at(gaze), cast(FrameBatches[Any], some.frames)
         frames.render([(bound, camera) for camera in views])  # measures what a frame takes of the memory

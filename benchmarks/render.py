@@ -5,8 +5,8 @@
 Prints medians, ratios of paired runs and how far the pictures are apart. `reference` computes every
 sample of both streams and four up-sampler passes; `exact` the same samples with codes folded into
 biases, rays that stop when they are opaque, the last layer after compositing and one up-sampler pass;
-`guided` only rays and samples around the surface; `baked` interpolates, with the eyes asked anew for
-every gaze, and `baked, gaze held` without. Also: up-samplers, how cost grows, and the floor.
+`guided` only rays and samples around the surface; `baked` interpolates, but for the eyes. Also:
+up-samplers, how cost grows, and the floor.
 """
 
 from __future__ import annotations
@@ -83,7 +83,6 @@ def compare_paths(field: TwoStreamField, subject: Subject, frames: int = 3) -> d
         }
         if head is not None:
             paths["baked"] = partial(_picture, head.at(gaze), camera)
-            paths["baked, gaze held"] = partial(_picture, head.at(Gaze()), camera)
         for name, draw in paths.items():
             if not number:  # warms up and is counted
                 found[name] = {"gflop": flops(draw) / 1e9, "peak_bytes": peak_memory(draw)}
@@ -94,7 +93,7 @@ def compare_paths(field: TwoStreamField, subject: Subject, frames: int = 3) -> d
     for name, values in seconds.items():
         found[name] |= {"seconds": statistics.median(values), "times_faster": ratio(seconds["reference"], values)}
         for other in ("reference", "guided"):
-            if name not in (other, "reference", "baked, gaze held"):
+            if name not in (other, "reference"):
                 apart = min(psnr(a, b) for a, b in zip(pictures[name], pictures[other], strict=True))
                 found[name][f"least_psnr_db_from_{other}"] = apart
     if head is not None:
@@ -151,7 +150,6 @@ def measure_scaling(field: TwoStreamField, subject: Subject, rounds: int = 3) ->
     paths: dict[str, BoundField] = {
         "guided": guided,
         "baked": head.at(Gaze(0.1, 0.1)),
-        "baked, gaze held": head.at(Gaze()),
     }
 
     def sweep(cameras: list[Camera]) -> dict[str, list[float]]:

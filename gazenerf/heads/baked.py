@@ -2,9 +2,9 @@
 
 Features do not depend on the view, so what the network says at the lattice's vertices serves every
 camera: a frame costs a walk through the lattice, weighted sums of its rows and one up-sampler pass.
-At the gaze it was baked for, nothing else is computed. At another gaze the face is kept as it was, and
-the network is queried anew along rays that meet the occupied cells of the eyes; lids and eyeballs are
-therefore exact, and only the little that the gaze changes in the rest of the face is lost.
+Only along rays that meet the occupied cells of the eyes the network is queried anew: lids lie closer to
+eyeballs than the lattice's vertices to each other, and would be drawn as pale as these. Lids and eyeballs are
+therefore exact at every gaze, and only the little that the gaze changes in the rest of the face is lost.
 """
 
 from __future__ import annotations
@@ -207,7 +207,6 @@ class BakedBoundHead:
         self.metres_per_unit, self.weights_hash = bound.metres_per_unit, bound.weights_hash
         self.surface_spread = bound.surface_spread
         self.image_size = bound.image_size
-        self.held = bound.gaze == baked.report.gaze
 
     @property
     def device(self) -> torch.device:
@@ -269,7 +268,7 @@ def draw_together(bounds: Sequence[BakedBoundHead], cameras: Sequence[Camera], c
 
 
 class _BakedRays(PictureRays):
-    """Rays that look into a bake, and query the network only where eyes have turned.
+    """Rays that look into a bake, and query the network only about the eyes.
 
     Args:
         bounds: One for each picture, all of one bake.
@@ -294,15 +293,13 @@ class _BakedRays(PictureRays):
         features, opacity = background.clone(), rays_o.new_zeros(len(rays_o))
         distance = rays_o.new_full((len(rays_o),), torch.nan)
         surface, hit = density.first_surface(rays_o, rays_d, start)
-        if turned := [(i, one.bound) for i, one in enumerate(self.bounds) if not one.held]:
-            near = self.baked.eyes.at(rays_o + surface.nan_to_num()[:, None] * rays_d) & hit
-            for i, bound in turned:
-                here = near if len(self.bounds) == 1 else near & (pictures == i)
-                live, hit = here.nonzero()[:, 0], hit & ~here
-                features[live], opacity[live], distance[live] = composite_near(
-                    bound, rays_o[live], rays_d[live], surface[live], background[live]
-                )[:3]
-        rays = hit.nonzero()[:, 0]
+        near = self.baked.eyes.at(rays_o + surface.nan_to_num()[:, None] * rays_d) & hit
+        for i, one in enumerate(self.bounds):
+            live = (near if len(self.bounds) == 1 else near & (pictures == i)).nonzero()[:, 0]
+            features[live], opacity[live], distance[live] = composite_near(
+                one.bound, rays_o[live], rays_d[live], surface[live], background[live]
+            )[:3]
+        rays = (hit & ~near).nonzero()[:, 0]
         t, deltas = shell_samples(surface[rays], config.shell, config.shell_samples)
         points = rays_o[rays, None] + t[..., None] * rays_d[rays, None]
         weights, alpha = composite(density.density(points), deltas)

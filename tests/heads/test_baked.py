@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from gazenerf.checkpoints import load_field
 from gazenerf.errors import UserError
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.heads.baked import FeatureLattice, bake, draw_together
@@ -16,6 +17,7 @@ from gazenerf.heads.interface import BoundField, HeadField
 from gazenerf.heads.lattice import Band
 from gazenerf.heads.occupancy import Occupancy
 from gazenerf.image_metrics import psnr
+from gazenerf.subjects import load_subject
 from tests.field_doubles import make_field, make_subject, soft_field, tiny_config
 
 TURNED = Gaze.from_degrees(15, -20)
@@ -41,6 +43,17 @@ def test_pictures_drawn_together_are_those_drawn_alone(size: tuple[int, int]) ->
         np.testing.assert_allclose(geometry.depth, theirs.depth, atol=1e-5)
         assert geometry.camera.to_dict() == theirs.camera.to_dict()
     assert np.abs(together[0][0] - together[3][0]).max() > 0.05
+
+
+def test_eyes_of_a_bake_are_exact_also_at_its_own_gaze() -> None:
+    """Lids lie closer to eyeballs than vertices of the lattice to each other."""
+    guided = Head(load_field("portrait-sdf"), load_subject("noa"))
+    ours, theirs = (
+        head.at(TURNED).render(Camera.orbit(0.0, size=256)).image for head in (bake(guided, TURNED), guided)
+    )
+    eyes = np.s_[110:140, 75:181]
+    assert theirs[eyes].std() > 0.05
+    assert psnr(ours[eyes], theirs[eyes]) > 50
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.6, 2.0])
@@ -79,7 +92,7 @@ def test_turning_the_eyes_asks_only_around_the_eyes(monkeypatch: pytest.MonkeyPa
     turned = sum(asked) - held
     exact.at(TURNED).render(camera)
     guided = sum(asked) - held - turned
-    assert held == 0 and 0 < turned < 0.5 * guided
+    assert 0 < held < 0.5 * guided and 0 < turned < 0.5 * guided
 
 
 def test_a_face_that_moves_with_the_gaze_shows_in_the_measurement() -> None:
