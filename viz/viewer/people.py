@@ -50,11 +50,11 @@ class CodeSlider:
     high: float
 
     def value(self, codes: Codes) -> float:
-        """What it is in some codes; for light the mean of red, green and blue."""
+        """What it is in some codes, in as many digits as float32 has; for light the mean of red, green and blue."""
         if self.code == "illumination":
             return float(codes.illumination.reshape(9, 3)[self.index].mean())
         values = getattr(codes, self.code)
-        return float(values[self.index]) if values.size else 0.0
+        return float(np.format_float_positional(values[self.index])) if values.size else 0.0
 
     def set(self, codes: Codes, value: float) -> Codes:
         """The codes with another value.

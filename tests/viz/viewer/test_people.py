@@ -83,6 +83,12 @@ def test_cuts_of_hair_have_sliders_where_the_field_takes_them():
     assert plain.codes.hair.size == 0 and any(person.codes.hair.any() for person in haired)
 
 
+def test_sliders_show_the_digits_that_were_given():
+    jana = load_subject("jana")
+    parting = next(s for s in code_sliders(jana.codes.sizes, hair=True) if s.label == "parting")
+    assert parting.value(parting.set(jana.codes, 0.4)) == 0.4  # and not 0.4000000059604645
+
+
 def test_what_is_saved_is_read_back():
     changed = replace(moved(ADA, {BY_LABEL["jawOpen"]: 0.7}), name="eve's <b>sister</b>")
     found = read_upload("mine.safetensors", subject_file(changed))
