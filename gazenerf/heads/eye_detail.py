@@ -56,6 +56,7 @@ class EyeDetail:
         angles: (R,) of rings about the optical axis, radians.
         fibres: (R, A + 1) float32: by how much the iris is brighter there than its ring is on average, as logarithms
             of sRGB with `DARK` added; the first column again at the end.
+        mirrors: Whether light is mirrored; it is where the camera sees it, so textures have none.
     """
 
     centres: np.ndarray
@@ -63,6 +64,7 @@ class EyeDetail:
     illumination: np.ndarray
     angles: np.ndarray
     fibres: np.ndarray
+    mirrors: bool = True
 
     def shown(
         self, number: int, turn: np.ndarray, points: np.ndarray, rays: np.ndarray
@@ -82,7 +84,8 @@ class EyeDetail:
         ring = np.interp(angle, self.angles, np.arange(len(self.angles)))
         at = around.astype(np.float32)[:, None], ring.astype(np.float32)[:, None]
         fibres = cv2.remap(self.fibres, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[:, 0]
-        return fibres, highlight(places, turn[:, 2], -rays, self.illumination)
+        mirrored = highlight(places, turn[:, 2], -rays, self.illumination) if self.mirrors else np.zeros(len(points))
+        return fibres, mirrored
 
     def surface(
         self, number: int, turn: np.ndarray, origins: np.ndarray, rays: np.ndarray

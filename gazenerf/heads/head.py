@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import threading
 import warnings
@@ -162,6 +163,17 @@ class Head:
         if sampler == self.sampler:
             return self
         return Head(self.field, self.subject, sampler=sampler, precision=self.precision, upsampler=self.painter.backend)
+
+    def without_highlights(self) -> Head:
+        """The same head with eyes that mirror no light, for textures: a highlight stays where the camera sees it, and
+        does not turn with a mesh. What was found for this head serves that one; itself where its eyes mirror nothing."""
+        detail = self.eye_detail
+        if detail is None or not detail.mirrors:
+            return self
+        other = copy.copy(self)
+        other.__dict__["eye_detail"] = replace(detail, mirrors=False)
+        other.frames = FrameBatches(other, draw_guided)
+        return other
 
     # What gazes share
 

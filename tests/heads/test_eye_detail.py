@@ -114,7 +114,7 @@ def test_nothing_is_drawn_on_what_hides_an_eye(heads: tuple[Head, Head], subject
     for name in ("eyeBlinkLeft", "eyeBlinkRight"):
         expression[names.index(name)] = 1.0
     shut = replace(subject, codes=replace(subject.codes, expression=expression))
-    closed = tuple(Head(head.field, shut) for head in heads)
+    closed = Head(heads[0].field, shut), Head(heads[1].field, shut)
     camera = Camera.orbit(0.0, size=SIZE)
     assert np.square(changed(closed, Gaze(), camera)).sum() < 0.05 * np.square(changed(heads, Gaze(), camera)).sum()
 
@@ -133,6 +133,16 @@ def test_parts_and_batches_show_it_alike(heads: tuple[Head, Head]) -> None:
     without = draw_together([bake(heads[0], GAZE).at(GAZE)] * 2, cameras)
     for one, other in zip(baked, without, strict=True):
         assert (np.abs(one.image - other.image).max(axis=-1) > 0.02).sum() > 20
+
+
+def test_textures_are_made_of_eyes_that_mirror_nothing(heads: tuple[Head, Head]) -> None:
+    dull, camera = heads[1].without_highlights(), Camera.orbit(0.0, size=SIZE)
+    assert dull is not heads[1] and dull.without_highlights() is dull and heads[0].without_highlights() is heads[0]
+    bare, fibres, both = (head.at(Gaze()).render(camera).image for head in (heads[0], dull, heads[1]))
+    assert np.abs(fibres - bare).max() > 0.02
+    assert (both - fibres).min() > -1e-6 and (both - fibres).max() > 0.15
+    assert heads[1].eye_detail is not None and heads[1].eye_detail.mirrors  # it does so still
+    np.testing.assert_array_equal(dull.frames.render([(dull.at(Gaze()), camera)])[0].images["head"], fibres)
 
 
 def test_other_head_models_and_densities_have_none() -> None:
