@@ -166,7 +166,7 @@ class Head:
 
     def without_highlights(self) -> Head:
         """The same head with eyes that mirror no light, for textures: a highlight stays where the camera sees it, and
-        does not turn with a mesh. What was found for this head serves that one; itself where its eyes mirror nothing."""
+        does not turn with a mesh. What was found for this head serves that one; itself if its eyes mirror nothing."""
         detail = self.eye_detail
         if detail is None or not detail.mirrors:
             return self
