@@ -14,6 +14,7 @@ import numpy as np
 from gazenerf.errors import UserError
 from gazenerf.geometry import Gaze
 from gazenerf.head_model import HeadMesh, ReferenceHead
+from gazenerf.heads.head import Head
 from gazenerf.heads.interface import BoundField, HeadField, Part
 from gazenerf.options import to_dict
 from gazenerf.progress import Progress, silent
@@ -75,6 +76,8 @@ def check_subject(
 ) -> CheckResult:
     """Check a head field against its reference head and against itself; all that `gazenerf check` measures.
 
+    Highlights that are drawn on a field's eyes move with the camera, as they should, and are left out.
+
     Args:
         head: The field.
         reference: What it is compared with; the head model fitted to the subject by default.
@@ -90,6 +93,8 @@ def check_subject(
     options.refuse_impossible()
     reference = reference_of(head.subject) if reference is None else reference
     working, missing = serving(options.renderers)
+    if isinstance(head, Head):
+        head = head.without_highlights()
     bound, mesh = head.at(gaze), reference.at(gaze)
     check_mesh(mesh, bound)
     scale, gazes = bound.metres_per_unit, swept_gazes(gaze, options)
