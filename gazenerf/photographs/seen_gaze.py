@@ -22,8 +22,8 @@ from gazenerf.training.gaze_estimator import GazeEstimator, load_gaze_estimator
 
 DEVIATIONS = (1.8, 1.4)
 """Degrees of pitch and yaw. On 80 rendered people with hair, from less than 50 degrees aside, it misses by 2.8 and 2.1
-(root mean squares), or by 2.2 and 1.4 (deviations told by medians). A little less is taken, because landmarks and pixels
-err alike, and so count for too much beside it."""
+(root mean squares), or by 2.2 and 1.4 (deviations told by medians). A little less is taken, because landmarks and
+pixels err alike, and so count for too much beside it."""
 
 ASIDE = 50.0
 """Degrees between face and camera at which it misses twice as much; that grows with the square."""
