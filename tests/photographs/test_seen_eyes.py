@@ -10,12 +10,14 @@ import pytest
 import torch
 
 from gazenerf.head_model.eyes import IRIS_ANGLE
+from gazenerf.photographs import seen_gaze as seen_gaze_module
 from gazenerf.photographs.correspondence import table_for
 from gazenerf.photographs.fit import _lid_rows
 from gazenerf.photographs.irises import find_eyes
 from gazenerf.photographs.picture_terms import IrisPoints, Observed, SeenGaze, SeenOpenings
 from gazenerf.photographs.seen_gaze import DEVIATIONS, as_learned, seen_gaze
 from gazenerf.photographs.shape_fit import fit_shape
+from gazenerf.training.gaze_estimator import FINE
 
 
 @pytest.fixture
@@ -84,16 +86,47 @@ def test_a_reading_counts_unless_it_is_far_off(model, rendered, landmarks, few_s
     assert moved[40.0] < 0.5 * 40.0, moved
 
 
-def test_the_network_reads_rendered_people_and_doubts_itself_aside(rendered):
+class Estimator:
+    """Reads every picture alike, or each one otherwise."""
+
+    def __init__(self, spread: float) -> None:
+        self.spread, self.layout, self.pictures = spread, FINE, torch.empty(0)
+
+    def __call__(self, pictures: torch.Tensor) -> torch.Tensor:
+        self.pictures = pictures
+        away = self.spread * torch.linspace(-1.0, 1.0, len(pictures))
+        return torch.stack([0.1 + away, torch.full_like(away, -0.2)], dim=1)
+
+
+def test_the_network_reads_rendered_people_and_doubts_itself_aside(rendered, monkeypatch):
     missed = []
     for item in rendered:
         read = seen_gaze(item.image, item.camera, item.mesh)
         missed.append(np.rad2deg(np.hypot(read.pitch - item.gaze.pitch, read.yaw - item.gaze.yaw)))
         assert read.deviations[0] >= np.deg2rad(DEVIATIONS[0])
     assert np.median(missed) < 8.0
-    aside = sorted(rendered, key=lambda item: abs(item.camera.position[0]))
+    monkeypatch.setattr(seen_gaze_module, "_estimator", lambda: Estimator(0.0))
+    aside = sorted(rendered, key=lambda item: item.camera.position[2] / np.linalg.norm(item.camera.position))
     deviations = [seen_gaze(item.image, item.camera, item.mesh).deviations[1] for item in aside]
-    assert deviations == sorted(deviations) or deviations[-1] > deviations[0]
+    assert deviations == sorted(deviations, reverse=True) and deviations[0] > deviations[-1]
+
+
+def test_readings_that_differ_between_slight_changes_count_less(rendered, monkeypatch):
+    item = rendered[0]
+    read = {}
+    for spread in (0.0, 0.1):
+        estimator = Estimator(spread)
+        monkeypatch.setattr(seen_gaze_module, "_estimator", lambda estimator=estimator: estimator)
+        read[spread] = seen_gaze(item.image, item.camera, item.mesh)
+        assert (read[spread].pitch, read[spread].yaw) == pytest.approx((0.1, -0.2), abs=1e-6)
+        first, others = estimator.pictures[:1], estimator.pictures[1:]
+        torch.testing.assert_close(
+            first, as_learned(item.image, item.camera, item.mesh, FINE.side), atol=1e-5, rtol=0.0
+        )
+        assert len(others) > 5 and (others - first).abs().mean(dim=(1, 2, 3)).max() < 0.1
+        assert (others - first).abs().amax(dim=(1, 2, 3)).min() > 0.02
+    (sure, same), (unsure, as_before) = read[0.0].deviations, read[0.1].deviations
+    assert unsure > np.deg2rad(5.0) > sure >= np.deg2rad(DEVIATIONS[0]) and same == pytest.approx(as_before)
 
 
 def test_the_network_is_shown_the_head_alone_whatever_the_size_of_the_photograph(rendered):
