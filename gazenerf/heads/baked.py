@@ -166,13 +166,14 @@ class BakedHead:
     Args:
         head: What was baked; it renders what is not.
         baked: The lattices.
+        hasty: Interpolate eyes as well at the gaze of the bake, for small pictures that pass by: lids have a pale rim.
 
     Attributes:
         frames: Draws several views in one pass.
     """
 
-    def __init__(self, head: Head, baked: Bake) -> None:
-        self.head, self.baked, self.subject = head, baked, head.subject
+    def __init__(self, head: Head, baked: Bake, hasty: bool = False) -> None:
+        self.head, self.baked, self.subject, self.hasty = head, baked, head.subject, hasty
         self.frames = FrameBatches(head, draw_together)
 
     @property
@@ -192,17 +193,30 @@ class BakedHead:
 
     def at(self, gaze: Gaze) -> BakedBoundHead:
         """The same bake with the eyes turned; binds the gaze."""
-        return BakedBoundHead(self.baked, self.head.at(gaze))
+        return BakedBoundHead(self.baked, self.head.at(gaze), self.hasty)
+
+    def in_haste(self) -> BakedHead:
+        """The same bake, `hasty`."""
+        return BakedHead(self.head, self.baked, hasty=True)
 
 
 class BakedBoundHead:
     """See `gazenerf.heads.interface.BoundField`; made by `BakedHead.at`.
 
     `render` of `head` is baked; other parts, densities and full-size geometry are the bound head's own.
+
+    Args:
+        baked: The lattices.
+        bound: The head at a gaze.
+        hasty: See `BakedHead`.
+
+    Attributes:
+        asks: Whether the network is queried about the eyes.
     """
 
-    def __init__(self, baked: Bake, bound: BoundHead) -> None:
+    def __init__(self, baked: Bake, bound: BoundHead, hasty: bool = False) -> None:
         self.baked, self.bound = baked, bound
+        self.asks = not hasty or bound.gaze != baked.report.gaze
         self.subject, self.gaze, self.box = bound.subject, bound.gaze, bound.box
         self.metres_per_unit, self.weights_hash = bound.metres_per_unit, bound.weights_hash
         self.surface_spread = bound.surface_spread
@@ -293,13 +307,15 @@ class _BakedRays(PictureRays):
         features, opacity = background.clone(), rays_o.new_zeros(len(rays_o))
         distance = rays_o.new_full((len(rays_o),), torch.nan)
         surface, hit = density.first_surface(rays_o, rays_d, start)
-        near = self.baked.eyes.at(rays_o + surface.nan_to_num()[:, None] * rays_d) & hit
-        for i, one in enumerate(self.bounds):
-            live = (near if len(self.bounds) == 1 else near & (pictures == i)).nonzero()[:, 0]
-            features[live], opacity[live], distance[live] = composite_near(
-                one.bound, rays_o[live], rays_d[live], surface[live], background[live]
-            )[:3]
-        rays = (hit & ~near).nonzero()[:, 0]
+        if asking := [(i, one.bound) for i, one in enumerate(self.bounds) if one.asks]:
+            near = self.baked.eyes.at(rays_o + surface.nan_to_num()[:, None] * rays_d) & hit
+            for i, bound in asking:
+                here = near if len(self.bounds) == 1 else near & (pictures == i)
+                live, hit = here.nonzero()[:, 0], hit & ~here
+                features[live], opacity[live], distance[live] = composite_near(
+                    bound, rays_o[live], rays_d[live], surface[live], background[live]
+                )[:3]
+        rays = hit.nonzero()[:, 0]
         t, deltas = shell_samples(surface[rays], config.shell, config.shell_samples)
         points = rays_o[rays, None] + t[..., None] * rays_d[rays, None]
         weights, alpha = composite(density.density(points), deltas)

@@ -56,6 +56,18 @@ def test_eyes_of_a_bake_are_exact_also_at_its_own_gaze() -> None:
     assert psnr(ours[eyes], theirs[eyes]) > 50
 
 
+def test_in_haste_eyes_are_interpolated_at_the_gaze_of_the_bake_alone() -> None:
+    head = bake(Head(load_field("portrait-sdf"), load_subject("noa")), Gaze())
+    hasty, camera = head.in_haste(), Camera.orbit(0.0, size=128)
+    assert hasty.baked is head.baked and not head.hasty
+    exact, quick = (one.at(Gaze()).render(camera).image for one in (head, hasty))
+    eyes, rest = np.s_[55:70, 38:90], np.s_[80:]
+    assert 25 < psnr(exact[eyes], quick[eyes]) < 50
+    np.testing.assert_allclose(exact[rest], quick[rest], atol=1e-5)
+    turned, also = (one.at(TURNED).render(camera).image for one in (head, hasty))
+    np.testing.assert_array_equal(turned, also)
+
+
 @pytest.mark.parametrize("yaw", [0.0, 0.6, 2.0])
 def test_baked_pictures_are_the_guided_ones(yaw: float) -> None:
     field = soft_field()

@@ -11,6 +11,7 @@ import numpy as np
 from gazenerf.errors import UserError
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.heads import Head
+from gazenerf.heads.baked import BakedHead
 from gazenerf.heads.choose import RenderPath, choose_path
 from gazenerf.heads.interface import HeadField
 from gazenerf.progress import Progress
@@ -37,7 +38,7 @@ class Drawer:
 
     Attributes:
         head: Draws full pictures.
-        quick: Draws coarse pictures; another one than `head` while that is not prepared.
+        quick: Draws coarse pictures; another one than `head` while that is not prepared, or in haste.
         final: No better path is on its way, so a full picture is worth its time.
         note: How it is drawn, one line.
     """
@@ -112,7 +113,8 @@ class Paths:
                 path = _path(head, self._wanted(head))
             except Unwanted:
                 continue
-            self._found(head, Drawer(path.head, path.head, True, path.note or path.describe()))
+            quick = path.head.in_haste() if isinstance(path.head, BakedHead) else path.head
+            self._found(head, Drawer(path.head, quick, True, path.note or path.describe()))
 
     def _wanted(self, head: HeadField) -> Progress:
         """Raises `Unwanted` at the next step of a bake once another head is the present one, or at the end."""
