@@ -48,6 +48,10 @@ ANYTHING = 0.35
 """Share of the way from brows to chin down to which whatever the mask shows beside the head is hair; below it, what has
 its colour: there are shoulders and collars."""
 
+CHIN, BEARDED = 0.85, 0.4
+"""Share of the way from brows to chin below which skin of the face is the chin's, and share of it that has to have the
+colour of hair where a beard is fitted: below the chin collars, shadows and long hair do."""
+
 KEEP = 0.004
 """A code's square costs this share of the pixels of the head: what does not help stays small."""
 
@@ -73,12 +77,14 @@ class _Wanted:
         weight: (H, W) of each pixel.
         rays: Through pixel centres, see `rays_of`.
         skin: (H, W) distance of the head without hair; infinite beside it.
+        bearded: Whether the chin shows hair.
     """
 
     hair: np.ndarray
     weight: np.ndarray
     rays: Any
     skin: np.ndarray
+    bearded: bool
 
     def miss(self, vertices: np.ndarray, faces: np.ndarray) -> float:
         """Weighted pixels at which a hair surface covers what is no hair, or leaves out what is."""
@@ -129,7 +135,8 @@ def fit_hair(
             best, least = hair, found
     for step in STEPS:
         for name, (low, high) in RANGES.items():
-            for sign in (1.0, -1.0) if name in index else ():
+            known = name in index and (name != "beard" or wanted.bearded)
+            for sign in (1.0, -1.0) if known else ():
                 while True:
                     tried = best.copy()
                     tried[index[name]] = np.clip(tried[index[name]] + sign * step, low, high)
@@ -181,7 +188,9 @@ def _wanted(
         weight = weight * np.where(on_head & (shown < 0.5), 0.0, 1.0)
     if hair[above].sum() < LEAST_HAIR * on_head.sum():
         return None
-    return _Wanted(hair, weight, rays, skin)
+    chin = oval & on_head & ~above_chin(bare, small, CHIN)
+    bearded = bool(chin.any()) and float(hair[chin].mean()) >= BEARDED
+    return _Wanted(hair, weight, rays, skin, bearded)
 
 
 def _likely_hair(

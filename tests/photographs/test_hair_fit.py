@@ -95,3 +95,15 @@ def test_a_fit_has_hair_only_where_it_is_asked_for(model, rendered, landmarks, m
         len(hairy.seen.mesh.part_faces(HAIR))
         and (hairy.seen.raster.parts > 0).sum() > (plain.seen.raster.parts > 0).sum()
     )
+
+
+def test_a_beard_is_fitted_where_the_chin_has_one_and_not_for_a_collar_below_it(model, rendered) -> None:
+    index = model.hair_names.index("beard")
+    assert found(model, rendered, crop=0.8, beard=1.0)[0][index] > 0.2
+    codes, camera, image, mask, true = photographed(model, rendered, crop=0.8)
+    collar = mask & ~above_chin(rendered[0].mesh, camera)
+    assert collar.sum() > 200
+    image[collar] = np.median(image[true], axis=0)
+    points, _ = camera.project(rendered[0].mesh.vertices[model.landmark_vertices].astype(float))
+    bare = replace(codes, hair=np.zeros(0, np.float32))
+    assert fit_hair(model, bare, rendered[0].gaze, camera, image, FaceLandmarks(points), mask)[index] == 0.0
