@@ -145,11 +145,8 @@ def _frames(
     for name, (view, times) in paths.items():
         taken = median_seconds(partial(_render, view, views), device, times)
         seconds[name] = {"seconds": taken, "frames_per_second": 1.0 / taken}
-    for name, some, gaze in (
-        ("guided, together", head, GAZE),
-        ("baked, together", baked, GAZE),
-    ):
-        bound, frames = some.at(gaze), cast(FrameBatches[Any], some.frames)
+    for name, some in (("guided, together", head), ("baked, together", baked)):
+        bound, frames = some.at(GAZE), cast(FrameBatches[Any], some.frames)
         frames.render([(bound, camera) for camera in views])  # measures what a frame takes of the memory
         wait(device)
         started = time.perf_counter()

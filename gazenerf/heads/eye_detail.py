@@ -201,7 +201,8 @@ def _window(eyes: EyeDetail, number: int, camera: Camera) -> tuple[int, int, Cam
 
 def _rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """Origins and directions (N, 3) through the middles of a camera's pixels, row after row."""
-    return camera.rays(camera.pixel_centres().reshape(-1, 2))
+    origins, rays = camera.rays()
+    return origins.reshape(-1, 3), rays.reshape(-1, 3)
 
 
 def _uncovered(bound: BoundHead, points: np.ndarray, rays: np.ndarray) -> np.ndarray:
