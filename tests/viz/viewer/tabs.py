@@ -2,6 +2,9 @@
 
 import io
 import shutil
+import sys
+import traceback
+import warnings
 
 import numpy as np
 from PIL import Image
@@ -37,9 +40,31 @@ class Tab:
         self.visit.refresh()
 
     def now(self):
-        """The full picture of the present scene, once the browser was sent it."""
-        wait_until(lambda: self.visit.settled and bool(self.shown) and self.shown[-1].full, 90.0)
+        """The full picture of the present scene, once the browser was sent it.
+
+        Once, and never again since, it did not come within 90 seconds although nothing else was wrong; should that
+        happen again, a warning says how things stood, and the picture is asked for anew.
+        """
+        try:
+            wait_until(self._rests, 60.0)
+        except AssertionError:
+            warnings.warn(f"the full picture did not come: {self._state()}", stacklevel=2)
+            self.visit.refresh()
+            wait_until(self._rests, 60.0)
         return self.shown[-1]
+
+    def _rests(self) -> bool:
+        return bool(self.shown) and self.visit.settled and self.shown[-1].full
+
+    def _state(self) -> str:
+        """What the visit counts, what was shown last, and where its threads are."""
+        visit, frames = self.visit, sys._current_frames()
+        counts = {name: value for name, value in vars(visit).items() if isinstance(value, int | float)}
+        shown = [(one.full, one.gaze.degrees, one.camera.position.tolist()) for one in self.shown[-3:]]
+        final = self.page.paths.drawer(self.page.scene.state.subject).final
+        places = [frames[one.ident] for one in visit._threads if one.ident in frames]
+        stacks = "\n".join("".join(traceback.format_stack(place)[-6:]) for place in places)
+        return f"{counts}; final {final}; shown {shown}; threads at\n{stacks}"
 
     def after(self, action):
         """The full picture after an action that changes it."""
