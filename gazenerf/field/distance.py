@@ -21,6 +21,7 @@ from torch import nn
 from gazenerf.field.config import FieldConfig
 from gazenerf.field.encoding import positional_encoding
 from gazenerf.field.hair import HairVolume
+from gazenerf.field.lids import Lids
 
 LAYERS, SKIP_AFTER = 6, 3
 """Hidden layers, and after how many of them points and codes enter again."""
@@ -131,20 +132,21 @@ class TemplateMove(nn.Module):
 class DistanceCondition(NamedTuple):
     """Codes and gaze of B images: biases (B, W) of the layers that they enter, and of the move (B, 3, W').
 
-    `hair` is that of all of them, None where there is none.
+    `hair` and `lids` are those of all of them, None where there are none.
     """
 
     first: torch.Tensor
     skip: torch.Tensor
     move: torch.Tensor
     hair: HairVolume | None = None
+    lids: Lids | None = None
 
 
 class Placed(NamedTuple):
     """What is known of points (B, N, 3), float32, world units.
 
     Attributes:
-        distance: (B, N) signed, hair included.
+        distance: (B, N) signed, hair and lids included.
         places: (B, N, 3) on the template.
         featured: (B, N, 3) places whose features are theirs: the same, but those of its roots for hair.
     """
@@ -214,6 +216,8 @@ class DistanceNetwork(nn.Module):
         places, hair = self.places(points, condition), condition.hair
         with torch.autocast(points.device.type, enabled=False):
             distance = self.at(places, condition)
+            if condition.lids is not None:
+                distance = condition.lids.over(distance, points.float(), places)
             if hair is None:
                 return Placed(distance, places, places)
             of_hair = hair.distance(points)

@@ -19,6 +19,7 @@ from gazenerf.devices import choose_device, is_out_of_memory, points_at_once, pr
 from gazenerf.errors import UserError
 from gazenerf.field.detail import SurfaceDetail
 from gazenerf.field.hair import HairVolume
+from gazenerf.field.lids import Lids
 from gazenerf.field.model import TwoStreamField
 from gazenerf.field.streams import StreamCondition
 from gazenerf.geometry import Gaze
@@ -29,6 +30,7 @@ from gazenerf.heads.eye_detail import EyeDetail, eye_detail
 from gazenerf.heads.hair import hair_volume, takes_hair
 from gazenerf.heads.interface import Part
 from gazenerf.heads.lattice import Band
+from gazenerf.heads.lids import lids
 from gazenerf.heads.occupancy import MOVED, Occupancy
 from gazenerf.heads.painter import Painter
 from gazenerf.heads.personal import personal_field
@@ -254,8 +256,8 @@ class Head:
             found = {name: self.field.condition(name, shape, appearance, label) for name in self.field.streams}
         hair, face = self.hair, "face" if "face" in found else "head"
         known = found[face].distance
-        if hair is not None and known is not None:
-            found[face] = replace(found[face], distance=known._replace(hair=hair))
+        if known is not None and (hair is not None or self.lids is not None):
+            found[face] = replace(found[face], distance=known._replace(hair=hair, lids=self.lids))
         return label, found
 
     @property
@@ -266,6 +268,14 @@ class Head:
                 found = hair_volume(self.subject.codes, self.field.template_jaw)
                 self._hair, self._hair_known = None if found is None else found.to(self.device), True
             return self._hair
+
+    @cached_property
+    def lids(self) -> Lids | None:
+        """The subject's lids; None where they are unknown, or the field has no distances to lay them over."""
+        if not takes_hair(self.field.config):
+            return None
+        found = lids(self.subject.codes, self.field.template_jaw)
+        return None if found is None else found.to(self.device)
 
     @property
     def texture_detail(self) -> SurfaceDetail | None:

@@ -1,0 +1,76 @@
+"""Lids over eyeballs: outside the openings between lids a face covers the eyes, and within them it does not.
+
+A lid is thin, so where a network's distances are off by a fraction of a millimetre the eyeball comes through the skin,
+or skin lies over the iris. Where an opening is, places on the template tell.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+
+EXTENT = 80.0
+"""Degrees of elevation and of azimuth, to either side, that maps of openings cover."""
+
+OVER, UNDER = 0.008, 0.02
+"""World units before an eyeball's surface where a lid is at least (the cornea bulges by 0.005), and behind it where
+skin within an opening is at most."""
+
+BORDER = (-0.005, 0.01)
+"""Distances from the border of an opening, world units, below which a place is a lid's and above which it is not."""
+
+REACH = 1.7
+"""Radii from an eyeball's centre within which lids are looked for."""
+
+
+class Lids(NamedTuple):
+    """One person's eyeballs, and the openings before those of the template.
+
+    Attributes:
+        centres: (2, 3) of this person's eyeballs, the subject's left first, world units.
+        template_centres: (2, 3) of the template's.
+        openings: (2, 1, N, N) signed distance from the border of each opening along the eyeball's surface, world
+            units, positive within it, by directions from the template's centres: elevation from low to high, and
+            azimuth towards the subject's left, as far as `EXTENT`.
+        radius: () of the eyeballs, world units.
+    """
+
+    centres: torch.Tensor
+    template_centres: torch.Tensor
+    openings: torch.Tensor
+    radius: torch.Tensor
+
+    def to(self, device: torch.device | str) -> Lids:
+        """The same on a device."""
+        return Lids(*(value.to(device) for value in self))
+
+    def over(self, distance: torch.Tensor, points: torch.Tensor, places: torch.Tensor) -> torch.Tensor:
+        """Signed distances from a face whose lids lie over its eyeballs, and whose openings are open.
+
+        Args:
+            distance: (B, N) as a network gives them, world units.
+            points: (B, N, 3).
+            places: (B, N, 3) of the points on the template.
+        """
+        away, eye = (points[..., None, :] - self.centres).norm(dim=-1).min(dim=-1)
+        near = (away < REACH * self.radius).nonzero(as_tuple=True)
+        if not len(near[0]):
+            return distance
+        eye, outside, old = eye[near], away[near] - self.radius, distance[near]
+        local = places[near] - self.template_centres[eye]
+        border = self._border(local, eye)
+        covered = torch.minimum(old, outside - OVER)
+        opened = torch.maximum(old, outside + UNDER)
+        found = torch.where(border < BORDER[0], covered, torch.where(border > BORDER[1], opened, old))
+        return distance.index_put(near, torch.where(local[:, 2] > 0.0, found, old))
+
+    def _border(self, local: torch.Tensor, eye: torch.Tensor) -> torch.Tensor:
+        """(N,) distances from the border of the opening of each eye (N,) at places (N, 3) from its centre."""
+        level = local[:, [0, 2]].norm(dim=-1)
+        angles = torch.stack([torch.atan2(local[:, 0], local[:, 2]), torch.atan2(local[:, 1], level)], dim=-1)
+        grid = (angles / np.deg2rad(EXTENT)).expand(2, 1, -1, 2)
+        each = F.grid_sample(self.openings, grid, mode="bilinear", padding_mode="border", align_corners=True)
+        return each[:, 0, 0].gather(0, eye[None])[0]
