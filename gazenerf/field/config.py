@@ -53,8 +53,9 @@ class FieldConfig:
             (see `gazenerf.field.detail`).
         lashes: Rows and columns of the map of how dark lashes make lids, for fields whose training had none; 0, 0 of
             others.
-        eye_detail: Whether fibres of the irises and highlights of the corneas are drawn on the eyeballs, of fields of
-            distances whose features are too coarse for them (see `gazenerf.heads.eye_detail`).
+        eye_detail: Whether fibres of the irises and highlights of the corneas are drawn on the eyeballs, and teeth,
+            gums and tongue where the mouth is open, of fields of distances whose features are too coarse for them (see
+            `gazenerf.heads.eye_detail` and `gazenerf.heads.mouth_detail`).
         metres_per_unit: Size of a world unit.
         sampler: How pictures are sampled: `slabs` (published) or `guided` (found surface, then a shell).
         shell: Half width of the guided shell, world units; shell_samples: its samples per ray.

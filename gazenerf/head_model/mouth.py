@@ -9,6 +9,9 @@ from scipy import sparse
 
 from gazenerf.head_model.assets import faces_of, mixture_of
 
+INNER_LIPS = range(60, 68)
+"""Standard landmarks around the opening of the mouth."""
+
 CORNERS = (60, 64)
 UPPER_LIP, LOWER_LIP = (61, 62, 63), (67, 66, 65)
 """Standard landmarks: the corners of the inner lips, and what lies between on each lip, the subject's right first."""

@@ -34,3 +34,17 @@ def tensor(values: np.ndarray, kind: type = np.float32) -> Any:
 def rays_of(camera: Camera) -> Any:
     """(H, W, 6) rays through a camera's pixel centres, as open3d casts them."""
     return tensor(np.concatenate(camera.rays(), axis=-1))
+
+
+def interpolated(values: np.ndarray, faces: np.ndarray, found: Any, where: Any = ...) -> np.ndarray:
+    """(N, C) values (V, C) of vertices where rays or closest points that open3d found lie on faces (F, 3).
+
+    Args:
+        values: Of vertices.
+        faces: Of the geometry that they lie on.
+        found: By open3d.
+        where: Which of what was found; all by default.
+    """
+    uv = found["primitive_uvs"].numpy()[where]
+    weights = np.concatenate([1.0 - uv.sum(axis=-1, keepdims=True), uv], axis=-1)
+    return (values[faces[found["primitive_ids"].numpy()[where]]] * weights[..., None]).sum(axis=-2)

@@ -14,11 +14,10 @@ import torch
 from gazenerf.devices import free_memory, is_out_of_memory, release_memory, watch_memory
 from gazenerf.geometry import Camera
 from gazenerf.heads.cutouts import cut_outs_of
-from gazenerf.heads.eye_detail import with_eye_detail
+from gazenerf.heads.details import detailed
 from gazenerf.heads.feature_map import FeatureGrid, RayFeatures, Window, add_behind, to_picture
 from gazenerf.heads.interface import BoundField, GeometryView, RenderedView
 from gazenerf.heads.render import composite_rays, is_hazy
-from gazenerf.heads.surface_detail import with_detail
 
 if TYPE_CHECKING:
     from gazenerf.heads.bound import BoundHead
@@ -203,8 +202,7 @@ def draw_rays(
             return None
         found = seen_by.add_behind(front, rays)
         seen = grid.smooth_outline(seen_by.composited, background, found, cut=True)
-        uncut = with_detail(bounds, head.painter.all_uncut(seen, grid.shape), grid, seen)
-        uncut = with_eye_detail(bounds, uncut, grid, seen)
+        uncut = detailed(bounds, head.painter.all_uncut(seen, grid.shape), grid, seen)
         pictures = head.painter.cut(uncut, seen, grid.shape)
         alone = cut_outs_of(seen, uncut, head.painter.picture_behind(*grid.shape), grid.shape) if cutouts else None
     images = [to_picture(picture, camera) for picture, camera in zip(pictures, cameras, strict=True)]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import torch
 import torch.nn.functional as F
@@ -14,7 +12,7 @@ from gazenerf.field.hair import HairVolume
 from gazenerf.geometry import Gaze
 from gazenerf.head_model import HAIR, HeadMesh, ParametricHead, load_head_model
 from gazenerf.head_model.interface import FACE
-from gazenerf.head_model.ray_scenes import ray_scene, tensor
+from gazenerf.head_model.ray_scenes import interpolated, ray_scene, tensor
 from gazenerf.subjects import Codes
 
 CELL, COARSE, ROOT_CELL = 0.03, 0.12, 0.09
@@ -87,7 +85,7 @@ def _distances_and_tones(head: HeadMesh, faces: np.ndarray, low: np.ndarray, hig
     bright = head.occlusion * head.albedo.mean(axis=1)
     bright = GAMMA * np.log(np.maximum(bright, 1e-3) / np.median(bright[np.unique(faces)]))
     tone = np.zeros_like(away)
-    tone[near] = _interpolated(bright[:, None], faces, found)[:, 0]
+    tone[near] = interpolated(bright[:, None], faces, found)[:, 0]
     return np.stack([np.where(inside, -away, away), tone])
 
 
@@ -98,14 +96,7 @@ def _roots(model: ParametricHead, head: HeadMesh, jaw: float, low: np.ndarray, h
     template = model.mesh(none, Gaze())
     grid, scalp = _points(low, high, ROOT_CELL), _scalp(model, template)
     found = ray_scene(head.vertices, scalp).compute_closest_points(tensor(grid.reshape(-1, 3)))
-    return _interpolated(template.vertices, scalp, found).reshape(grid.shape)
-
-
-def _interpolated(values: np.ndarray, faces: np.ndarray, found: Any) -> np.ndarray:
-    """(N, C) values (V, C) of vertices at the closest points that open3d found on faces (F, 3)."""
-    uv = found["primitive_uvs"].numpy()
-    weights = np.stack([1.0 - uv.sum(axis=1), uv[:, 0], uv[:, 1]], axis=1)
-    return (values[faces[found["primitive_ids"].numpy()]] * weights[..., None]).sum(axis=1)
+    return interpolated(template.vertices, scalp, found).reshape(grid.shape)
 
 
 def _scalp(model: ParametricHead, template: HeadMesh) -> np.ndarray:

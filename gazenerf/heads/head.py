@@ -31,6 +31,7 @@ from gazenerf.heads.hair import hair_volume, takes_hair
 from gazenerf.heads.interface import Part
 from gazenerf.heads.lattice import Band
 from gazenerf.heads.lids import lids
+from gazenerf.heads.mouth_detail import MouthDetail, mouth_detail
 from gazenerf.heads.occupancy import MOVED, Occupancy
 from gazenerf.heads.painter import Painter
 from gazenerf.heads.personal import personal_field
@@ -295,6 +296,13 @@ class Head:
         if not self.field.config.eye_detail or self.field.untuned:
             return None
         return eye_detail(self.subject.codes)
+
+    @cached_property
+    def mouth_detail(self) -> MouthDetail | None:
+        """What the subject's open mouth shows; None where the field does not ask for it, or the mouth is learned."""
+        if not self.field.config.eye_detail or self.field.untuned:
+            return None
+        return mouth_detail(self.subject.codes)
 
     def _refresh(self) -> None:
         """Forget what was found for other weights; the lock is held."""

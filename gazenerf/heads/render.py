@@ -13,10 +13,9 @@ from gazenerf.field.compositing import Composited, composite, composite_stream, 
 from gazenerf.field.sampling import RaySamples, ray_samples, shell_samples, slab_samples
 from gazenerf.geometry import Camera, camera_rays
 from gazenerf.heads.cutouts import cut_outs_of
-from gazenerf.heads.eye_detail import with_eye_detail
+from gazenerf.heads.details import detailed
 from gazenerf.heads.feature_map import FeatureGrid, RayFeatures, Window, add_behind, to_picture
 from gazenerf.heads.interface import OPACITY_FLOOR, GeometryView, Part, RenderedView
-from gazenerf.heads.surface_detail import with_detail
 
 if TYPE_CHECKING:
     from gazenerf.heads.bound import BoundHead
@@ -56,7 +55,7 @@ def render_parts(bound: BoundHead, camera: Camera, parts: tuple[Part, ...], cuto
             seen = _part_features(bound, grid, background, part, cache)
             turned = part != "face" and (len(bound.streams_of(part)) == 1 or config.merge == "max")
             uncut = bound.head.painter.uncut(seen, grid.shape, turned)
-            uncut = _detailed(bound, uncut, grid, seen, part)
+            uncut = detailed([bound], uncut, grid, seen, part)
             picture = uncut if turned else bound.head.painter.cut(uncut, seen, grid.shape)
             if cutouts:
                 alone[part] = to_picture(_cut_out(bound, grid, seen, background, part, uncut), camera)
@@ -65,13 +64,6 @@ def render_parts(bound: BoundHead, camera: Camera, parts: tuple[Part, ...], cuto
             images[part] = to_picture(picture, camera)
             geometry[part] = grid.geometry(seen)[0]
     return RenderedView(camera, images, geometry, alone)
-
-
-def _detailed(bound: BoundHead, uncut: torch.Tensor, grid: FeatureGrid, seen: RayFeatures, part: Part) -> torch.Tensor:
-    """A picture of a part with the detail that its feature map is too coarse for."""
-    if part != "eyes":
-        uncut = with_detail([bound], uncut, grid, seen)
-    return uncut if part == "face" else with_eye_detail([bound], uncut, grid, seen, lids=part == "head")
 
 
 def _cut_out(
@@ -87,7 +79,7 @@ def _cut_out(
     if seen.matte is None and seen.outline is not None:  # mixed with what is behind it in the picture, not in a cutout
         seen = grid.with_matte(seen, behind)
         uncut = head.painter.uncut(seen, grid.shape, turned=True)
-        uncut = _detailed(bound, uncut, grid, seen, part)
+        uncut = detailed([bound], uncut, grid, seen, part)
     picture_behind = head.painter.upsample(behind.T.reshape(1, -1, *grid.shape))[0] if seen.matte is None else uncut
     return cut_outs_of(seen, uncut, picture_behind, grid.shape)[0]
 

@@ -23,6 +23,7 @@ from gazenerf.field.model import TwoStreamField
 from gazenerf.head_model import load_head_model
 from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, FACE, HeadMesh
 from gazenerf.head_model.model import ParametricHead
+from gazenerf.head_model.mouth import INNER_LIPS
 from gazenerf.head_model.ray_scenes import ray_scene, tensor
 from gazenerf.head_model.sampling import sample_person
 from gazenerf.head_model.shading import linear_to_srgb
@@ -33,9 +34,6 @@ FADING, BESIDE = 12.0, 1.0
 OUTWARDS, EDGE = 0.45, (0.15, 0.5)
 """Degrees by which lashes of fields reach further from the opening than the head model's, and from its edge between
 which they begin, since lids that a field draws have soft and light edges."""
-
-INNER_LIPS = range(60, 68)
-"""Standard landmarks around the opening of the mouth."""
 
 FAR = 4.0
 """World units from which rays are cast: outside the head."""
