@@ -31,7 +31,7 @@ from gazenerf.export.scenes.sequence import check_sequence, sequence_scene
 from gazenerf.files import refuse_existing, whole_folder
 from gazenerf.geometry import Gaze
 from gazenerf.head_model import ReferenceHead
-from gazenerf.heads.head import Head
+from gazenerf.heads.highlights import without_highlights
 from gazenerf.heads.interface import BoundField, HeadField, Part
 from gazenerf.progress import Progress, silent
 
@@ -106,8 +106,7 @@ def mesh_subject(
     if not rigged and not set(TEXTURED) & set(options.formats):
         options = replace(options, texture=None)
     refuse_existing([out / name for name in _names(options, rigged, len(sequence), numbered)], overwrite)
-    if isinstance(head, Head):
-        head = head.without_highlights()
+    head = without_highlights(head)
     bound = head.at(gaze)
     meshes: dict[Part, PartMesh] = {
         part: extract_part(bound, part, options, progress=progress) for part in options.parts

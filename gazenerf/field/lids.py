@@ -1,7 +1,8 @@
 """Lids over eyeballs: outside the openings between lids a face covers the eyes, and within them it does not.
 
 A lid is thin, so where a network's distances are off by a fraction of a millimetre the eyeball comes through the skin,
-or skin lies over the iris. Where an opening is, places on the template tell.
+or skin lies over the iris. Where an opening is, places on the template tell, which take
+part in what the gaze does to lids, and the person's own lids, which may be shut.
 """
 
 from __future__ import annotations
@@ -32,15 +33,17 @@ class Lids(NamedTuple):
     Attributes:
         centres: (2, 3) of this person's eyeballs, the subject's left first, world units.
         template_centres: (2, 3) of the template's.
-        openings: (2, 1, N, N) signed distance from the border of each opening along the eyeball's surface, world
-            units, positive within it, by directions from the template's centres: elevation from low to high, and
+        openings: (2, 1, N, N) signed distance from the border of each opening of the template along the eyeball's
+            surface, world units, positive within it, by directions from its centres: elevation from low to high, and
             azimuth towards the subject's left, as far as `EXTENT`.
+        own: (2, 1, N, N) the same of this person's openings, with the eyes straight ahead.
         radius: () of the eyeballs, world units.
     """
 
     centres: torch.Tensor
     template_centres: torch.Tensor
     openings: torch.Tensor
+    own: torch.Tensor
     radius: torch.Tensor
 
     def to(self, device: torch.device | str) -> Lids:
@@ -61,16 +64,17 @@ class Lids(NamedTuple):
             return distance
         eye, outside, old = eye[near], away[near] - self.radius, distance[near]
         local = places[near] - self.template_centres[eye]
-        border = self._border(local, eye)
+        border, own = _border(self.openings, local, eye), _border(self.own, points[near] - self.centres[eye], eye)
         covered = torch.minimum(old, outside - OVER)
         opened = torch.maximum(old, outside + UNDER)
-        found = torch.where(border < BORDER[0], covered, torch.where(border > BORDER[1], opened, old))
+        found = torch.where(border < BORDER[0], covered, torch.where((border > BORDER[1]) & (own > 0.0), opened, old))
         return distance.index_put(near, torch.where(local[:, 2] > 0.0, found, old))
 
-    def _border(self, local: torch.Tensor, eye: torch.Tensor) -> torch.Tensor:
-        """(N,) distances from the border of the opening of each eye (N,) at places (N, 3) from its centre."""
-        level = local[:, [0, 2]].norm(dim=-1)
-        angles = torch.stack([torch.atan2(local[:, 0], local[:, 2]), torch.atan2(local[:, 1], level)], dim=-1)
-        grid = (angles / np.deg2rad(EXTENT)).expand(2, 1, -1, 2)
-        each = F.grid_sample(self.openings, grid, mode="bilinear", padding_mode="border", align_corners=True)
-        return each[:, 0, 0].gather(0, eye[None])[0]
+
+def _border(openings: torch.Tensor, local: torch.Tensor, eye: torch.Tensor) -> torch.Tensor:
+    """(N,) distances from the border of the opening (2, 1, N, N) of each eye (N,) at places (N, 3) from its centre."""
+    level = local[:, [0, 2]].norm(dim=-1)
+    angles = torch.stack([torch.atan2(local[:, 0], local[:, 2]), torch.atan2(local[:, 1], level)], dim=-1)
+    grid = (angles / np.deg2rad(EXTENT)).expand(2, 1, -1, 2)
+    each = F.grid_sample(openings, grid, mode="bilinear", padding_mode="border", align_corners=True)
+    return each[:, 0, 0].gather(0, eye[None])[0]

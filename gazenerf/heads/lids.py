@@ -10,8 +10,9 @@ import torch
 
 from gazenerf.data.surface_points import template_of
 from gazenerf.field.lids import EXTENT, Lids
+from gazenerf.geometry import Gaze
 from gazenerf.head_model import load_head_model
-from gazenerf.head_model.interface import FACE
+from gazenerf.head_model.interface import FACE, HeadMesh
 from gazenerf.head_model.model import EYE_RADIUS
 from gazenerf.head_model.ray_scenes import ray_scene, tensor
 from gazenerf.subjects import Codes
@@ -33,28 +34,39 @@ def lids(codes: Codes, jaw: float) -> Lids | None:
     model = load_head_model()
     if codes.sizes != model.code_sizes:
         return None
-    template_centres, openings = _openings(jaw)
-    arrays = model.eye_centres(codes.identity), template_centres, openings, np.array(EYE_RADIUS)
+    head, (template_centres, openings) = model.mesh(codes, Gaze()), _template_openings(jaw)
+    arrays = head.eye_centres, template_centres, openings, _openings(head), np.array(EYE_RADIUS)
     return Lids(*(torch.from_numpy(np.array(array, np.float32)) for array in arrays))
 
 
 @lru_cache(maxsize=4)
-def _openings(jaw: float) -> tuple[np.ndarray, np.ndarray]:
+def _template_openings(jaw: float) -> tuple[np.ndarray, np.ndarray]:
     """Eyeballs' centres (2, 3) and openings (2, 1, N, N) of the template; see `Lids`."""
     template = template_of(load_head_model(), jaw)
-    skin = ray_scene(template.vertices, template.part_faces(FACE))
+    return np.asarray(template.eye_centres), _openings(template)
+
+
+def _openings(head: HeadMesh) -> np.ndarray:
+    """(2, 1, N, N) openings of a head whose eyes look straight ahead; see `Lids`."""
+    skin = ray_scene(head.vertices, head.part_faces(FACE))
     angles = np.deg2rad(np.linspace(-EXTENT, EXTENT, SIZE))
     elevation, azimuth = np.meshgrid(angles, angles, indexing="ij")
     level = np.cos(elevation)
     outward = np.stack([np.sin(azimuth) * level, np.sin(elevation), np.cos(azimuth) * level], axis=-1)
     found = []
-    for centre in template.eye_centres:
+    for centre in head.eye_centres:
         rays = np.concatenate([centre + WITHIN * EYE_RADIUS * outward, outward], axis=-1)
         opening = skin.cast_rays(tensor(rays))["t_hit"].numpy() > FARTHEST * EYE_RADIUS
-        pieces = cv2.connectedComponents(opening.astype(np.uint8))[1]
-        opening = (pieces == pieces[SIZE // 2, SIZE // 2]).astype(np.uint8)
+        opening = _largest(opening).astype(np.uint8)
         inside, outside = (
             cv2.distanceTransform(side, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) for side in (opening, 1 - opening)
         )
         found.append((inside - outside) * (angles[1] - angles[0]) * EYE_RADIUS)
-    return np.asarray(template.eye_centres), np.stack(found)[:, None]
+    return np.stack(found)[:, None]
+
+
+def _largest(opening: np.ndarray) -> np.ndarray:
+    """(N, N) bool, the largest of the pieces that something (N, N) consists of: beside lids rays miss the skin, too."""
+    _, pieces, about, _ = cv2.connectedComponentsWithStats(opening.astype(np.uint8))
+    sizes = about[1:, cv2.CC_STAT_AREA]
+    return pieces == 1 + int(sizes.argmax()) if len(sizes) else opening

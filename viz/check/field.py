@@ -14,7 +14,7 @@ import numpy as np
 from gazenerf.errors import UserError
 from gazenerf.geometry import Gaze
 from gazenerf.head_model import HeadMesh, ReferenceHead
-from gazenerf.heads.head import Head
+from gazenerf.heads.highlights import without_highlights
 from gazenerf.heads.interface import BoundField, HeadField, Part
 from gazenerf.options import to_dict
 from gazenerf.progress import Progress, silent
@@ -93,8 +93,7 @@ def check_subject(
     options.refuse_impossible()
     reference = reference_of(head.subject) if reference is None else reference
     working, missing = serving(options.renderers)
-    if isinstance(head, Head):
-        head = head.without_highlights()
+    head = without_highlights(head)
     bound, mesh = head.at(gaze), reference.at(gaze)
     check_mesh(mesh, bound)
     scale, gazes = bound.metres_per_unit, swept_gazes(gaze, options)
