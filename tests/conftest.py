@@ -16,6 +16,7 @@ LONG = (
     "test_a_data_set_and_captures_elsewhere_give_the_same",
     "test_a_fitted_subject_is_meshed_with_texture_and_rig_as_bundled_ones_are",
     "test_with_the_fit_itself_down_to_a_trained_field",
+    "test_faults_are_read_at_their_size",
     "test_a_killed_run_leaves_no_process_and_goes_on",
     "test_fabric_run_trains_on_two_machines_that_are_one",
     "test_ctrl_c_ends_every_process_without_a_trace[2.5]",
