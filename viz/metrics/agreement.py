@@ -86,8 +86,9 @@ DEFINITIONS = (
         passes=50.0, warns=200.0, group=ALONG_RAYS, bounds=NOT_NEGATIVE,
         advice="There is a hole in the head or something floats before it: find it in the depth maps, and repair or "
         "clean the mesh before use.",
-        method="Area of the largest connected spot of any view that is off by more than 5 mm along the ray, or "
-        "missing, at least 4 pixels inside the reference's silhouette; strips under 3 pixels wide are left out.",
+        method="Area of the largest connected spot of any view that is off by more than 5 mm along the ray and 2 mm "
+        "along the reference's normal, or missing, at least 4 pixels inside the reference's silhouette; strips under 3 "
+        "pixels wide are left out.",
         finding=Finding(20.0, 0),
     ),
 )  # fmt: skip
@@ -203,17 +204,33 @@ def compare(
     )
 
 
+ACROSS_MM = 2.0
+"""A surface is off only where it is so far off across itself, too: where it is seen nearly edge-on, its depth is off by
+ten times as much."""
+
+
 def blemish_mm2(view: DepthView, reference: DepthView, metres_per_unit: float, limit_mm: float = 5.0) -> float:
     """Area of the largest connected spot that is off by more than a limit, or missing, inside the reference.
 
-    Four pixels at the reference's edge are left out. The area is that of the pixels at the
+    Off are depths along the ray that differ by more than the limit, and by more than `ACROSS_MM` along the reference's
+    normal where that is known. Four pixels at the reference's edge are left out. The area is that of the pixels at the
     reference's depth, seen face on.
     """
     inside = eroded(np.isfinite(reference.depth), 4)
-    off = np.abs(np.nan_to_num(depth_difference_mm(view, reference, metres_per_unit), nan=np.inf)) > limit_mm
+    away = np.abs(np.nan_to_num(depth_difference_mm(view, reference, metres_per_unit), nan=np.inf))
+    off = (away > limit_mm) & (away * _facing(reference) > ACROSS_MM)
     spots = np.zeros(off.shape, np.int32)
     count = int(np.asarray(ndimage.label(ndimage.binary_opening(off & inside), output=spots)))
     if not count:
         return 0.0
     side = np.where(inside, reference.depth, 0.0) / view.camera.fx * metres_per_unit * 1000.0
     return float(ndimage.sum_labels(side * side, spots, np.arange(1, count + 1)).max())
+
+
+def _facing(view: DepthView) -> np.ndarray:
+    """(H, W) cosine between a surface's normals and the directions to the camera; 1 where they are not known."""
+    if view.normals is None:
+        return np.ones(view.depth.shape)
+    _, rays = view.camera.rays()
+    cosine = np.abs((view.normals * rays).sum(axis=-1))
+    return np.where(np.isfinite(cosine), np.maximum(cosine, 1e-3), 1.0)

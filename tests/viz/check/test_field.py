@@ -13,7 +13,7 @@ from gazenerf.errors import UserError
 from gazenerf.geometry import Camera
 from gazenerf.head_model import HeadMesh
 from gazenerf.heads.analytic import AnalyticField, AnalyticHead
-from gazenerf.heads.interface import BoundField
+from gazenerf.heads.interface import BoundField, GeometryView
 from gazenerf.viz.check.field import check_subject
 from gazenerf.viz.check.options import CheckOptions, parse_limits
 from gazenerf.viz.check.result import CheckResult
@@ -230,6 +230,27 @@ def test_a_blemish_is_an_area_and_the_silhouettes_rim_is_none(field):
     # A pixel is 11.1 units away, at a focal length of 385 pixels 2.88 mm wide.
     side = 100.0 * view.depth[60:66, 40:50].mean() / view.camera.fx
     assert blemish_mm2(replace(view, depth=hole), view, 0.1) == pytest.approx(60 * side**2 - 4 * side**2, rel=0.01)
+
+
+def test_a_surface_seen_edge_on_is_off_only_where_it_is_off_across_itself():
+    camera = Camera.orbit(0.0, size=64)
+    origins, rays = camera.rays()
+    normal = np.array([np.sin(np.deg2rad(85.0)), 0.0, np.cos(np.deg2rad(85.0))])
+
+    def plane(offset: float) -> GeometryView:
+        depth = ((offset - (origins * normal).sum(axis=-1)) / (rays * normal).sum(axis=-1)).astype(np.float32)
+        seen = (np.abs(depth - 12.0) < 6.0).astype(np.float32)
+        depth = np.where(seen > 0.0, depth, np.nan)
+        return GeometryView(camera, seen, depth, np.broadcast_to(normal.astype(np.float32), (64, 64, 3)))
+
+    one_millimetre, three = plane(0.01), plane(0.03)
+    assert np.nanmedian(np.abs(one_millimetre.depth - plane(0.0).depth)) > 0.05
+    assert blemish_mm2(one_millimetre, plane(0.0), 0.1) == 0.0
+    assert blemish_mm2(three, plane(0.0), 0.1) > 200.0
+    assert blemish_mm2(one_millimetre, replace(plane(0.0), normals=None), 0.1) > 200.0
+    hole = one_millimetre.depth.copy()
+    hole[20:40, 20:40] = np.nan
+    assert blemish_mm2(replace(one_millimetre, depth=hole), plane(0.0), 0.1) > 200.0
 
 
 def test_metrics_judge_both_directions():
