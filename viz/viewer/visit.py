@@ -169,16 +169,13 @@ class Visit:
         if self._at_once > 1:
             torch.set_num_threads(1)
         while (task := self._next()) is not None:
-            picture = None
             try:
-                picture = self._drawn(self._scene.state, task)
+                self._show_in_turn(task, self._drawn(self._scene.state, task))
             except UserError as error:
                 self._tell(str(error))
-            except Exception as error:  # one picture that fails must not end a visit
+            except Exception as error:  # one picture that fails, or cannot be sent, must not end a visit
                 traceback.print_exc()
                 self._tell(f"this view cannot be drawn: {error}")
-            if picture is not None:
-                self._show_in_turn(task, picture)
             with self._condition:
                 if not task.full:
                     self._coarse -= 1

@@ -171,6 +171,25 @@ def test_one_core_draws_one_picture_after_another(flat, monkeypatch):
     assert most == [1]
 
 
+def test_a_picture_that_cannot_be_sent_is_told_and_the_visit_goes_on(flat, capsys):
+    visit, shown, told = flat.visit()
+    show, failing = visit._show, threading.Event()
+    failing.set()
+
+    def send(picture: Picture) -> None:
+        if failing.is_set() and picture.full:
+            raise ConnectionError("gone")
+        show(picture)
+
+    visit._show = send
+    visit.look(viewpoint())
+    wait_until(lambda: any("gone" in line for line in told))
+    assert "ConnectionError" in capsys.readouterr().err and all(thread.is_alive() for thread in visit._threads)
+    failing.clear()
+    visit.refresh()
+    wait_until(lambda: visit.settled and shown[-1].full)
+
+
 def test_a_picture_that_fails_is_told_and_the_visit_goes_on(flat, capsys):
     visit, shown, told = flat.visit()
     errors = iter([UserError("no such luck"), ZeroDivisionError("oh")])
