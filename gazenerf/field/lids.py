@@ -1,8 +1,8 @@
 """Lids over eyeballs: outside the openings between lids a face covers the eyes, and within them it does not.
 
 A lid is thin, so where a network's distances are off by a fraction of a millimetre the eyeball comes through the skin,
-or skin lies over the iris. Where an opening is, places on the template tell, which take
-part in what the gaze does to lids, and the person's own lids, which may be shut.
+or skin lies over the iris. Places on the template, which follow the lids when the gaze moves them, tell where an
+opening is; the person's own lids, which an expression may shut, have to be apart there, too.
 """
 
 from __future__ import annotations

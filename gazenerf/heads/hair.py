@@ -7,6 +7,7 @@ import torch
 import torch.nn.functional as F
 from scipy.spatial import KDTree
 
+from gazenerf.data.surface_points import template_of
 from gazenerf.field.config import FieldConfig
 from gazenerf.field.hair import HairVolume
 from gazenerf.geometry import Gaze
@@ -91,9 +92,7 @@ def _distances_and_tones(head: HeadMesh, faces: np.ndarray, low: np.ndarray, hig
 
 def _roots(model: ParametricHead, head: HeadMesh, jaw: float, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """(d, h, w, 3) places on the template of the scalp that lies nearest to each cell."""
-    none = Codes(*(np.zeros(size, np.float32) for size in model.code_sizes))
-    none.expression[model.expression_names.index("jawOpen")] = jaw
-    template = model.mesh(none, Gaze())
+    template = template_of(model, jaw)
     grid, scalp = _points(low, high, ROOT_CELL), _scalp(model, template)
     found = ray_scene(head.vertices, scalp).compute_closest_points(tensor(grid.reshape(-1, 3)))
     return interpolated(template.vertices, scalp, found).reshape(grid.shape)
