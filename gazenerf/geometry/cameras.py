@@ -179,6 +179,16 @@ class Camera:
         """The camera of a window of the picture whose upper left pixel is (left, top)."""
         return replace(self, cx=self.cx - left, cy=self.cy - top, width=width, height=height)
 
+    def part_between(self, low: np.ndarray, high: np.ndarray) -> tuple[int, int, Camera] | None:
+        """Left, top and camera of the pixels between image coordinates (2,), as far as they are in the picture; None
+        where none are."""
+        low = np.maximum(np.floor(low).astype(int), 0)
+        high = np.minimum(np.ceil(high).astype(int), [self.width, self.height])
+        if (high <= low).any():
+            return None
+        left, top = int(low[0]), int(low[1])
+        return left, top, self.cropped(left, top, int(high[0]) - left, int(high[1]) - top)
+
     def windowed(self, window: tuple[slice, slice]) -> Camera:
         """The camera of some rows and columns of the picture."""
         rows, columns = window

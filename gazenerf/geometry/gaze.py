@@ -71,6 +71,12 @@ class Gaze:
         return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
 
 
+def outward(elevation: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
+    """(..., 3) unit vectors at angles (...) above the horizon and from +Z towards +X, radians."""
+    level = np.cos(elevation)
+    return np.stack([np.sin(azimuth) * level, np.sin(elevation), np.cos(azimuth) * level], axis=-1)
+
+
 def rotation_x(angle: float) -> np.ndarray:
     """(3, 3) right-handed rotation about X by an angle in radians."""
     c, s = np.cos(angle), np.sin(angle)

@@ -36,6 +36,12 @@ def rays_of(camera: Camera) -> Any:
     return tensor(np.concatenate(camera.rays(), axis=-1))
 
 
+def barycentric(found: Any, where: Any = ...) -> np.ndarray:
+    """(..., 3) float32 weights of the corners of the triangles that open3d found; arguments as `interpolated`."""
+    uv = found["primitive_uvs"].numpy()[where]
+    return np.concatenate([1.0 - uv.sum(axis=-1, keepdims=True), uv], axis=-1)
+
+
 def interpolated(values: np.ndarray, faces: np.ndarray, found: Any, where: Any = ...) -> np.ndarray:
     """(N, C) values (V, C) of vertices where rays or closest points that open3d found lie on faces (F, 3).
 
@@ -45,6 +51,5 @@ def interpolated(values: np.ndarray, faces: np.ndarray, found: Any, where: Any =
         found: By open3d.
         where: Which of what was found; all by default.
     """
-    uv = found["primitive_uvs"].numpy()[where]
-    weights = np.concatenate([1.0 - uv.sum(axis=-1, keepdims=True), uv], axis=-1)
-    return (values[faces[found["primitive_ids"].numpy()[where]]] * weights[..., None]).sum(axis=-2)
+    corners = faces[found["primitive_ids"].numpy()[where]]
+    return (values[corners] * barycentric(found, where)[..., None]).sum(axis=-2)

@@ -191,12 +191,7 @@ def _window(eyes: EyeDetail, number: int, camera: Camera) -> tuple[int, int, Cam
     if z <= 2.0 * eyes.radius:
         return None
     reach = 1.1 * eyes.radius / z * np.array([camera.fx, camera.fy])
-    low = np.maximum(np.floor(middle - reach).astype(int), 0)
-    high = np.minimum(np.ceil(middle + reach).astype(int), [camera.width, camera.height])
-    if (high <= low).any():
-        return None
-    left, top = int(low[0]), int(low[1])
-    return left, top, camera.cropped(left, top, int(high[0]) - left, int(high[1]) - top)
+    return camera.part_between(middle - reach, middle + reach)
 
 
 def _rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:

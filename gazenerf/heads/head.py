@@ -255,10 +255,10 @@ class Head:
             appearance = torch.from_numpy(codes.appearance_code)[None].to(self.device)
             label = self.field.label(torch.from_numpy(gaze.label)[None].to(self.device))
             found = {name: self.field.condition(name, shape, appearance, label) for name in self.field.streams}
-        hair, face = self.hair, "face" if "face" in found else "head"
+        face = "face" if "face" in found else "head"
         known = found[face].distance
-        if known is not None and (hair is not None or self.lids is not None):
-            found[face] = replace(found[face], distance=known._replace(hair=hair, lids=self.lids))
+        if known is not None:
+            found[face] = replace(found[face], distance=known._replace(hair=self.hair, lids=self.lids))
         return label, found
 
     @property
@@ -293,16 +293,17 @@ class Head:
     @cached_property
     def eye_detail(self) -> EyeDetail | None:
         """The detail of the subject's eyes; None where the field does not ask for any, or the eyes are learned."""
-        if not self.field.config.eye_detail or self.field.untuned:
-            return None
-        return eye_detail(self.subject.codes)
+        return eye_detail(self.subject.codes) if self._shows_head_model else None
 
     @cached_property
     def mouth_detail(self) -> MouthDetail | None:
         """What the subject's open mouth shows; None where the field does not ask for it, or the mouth is learned."""
-        if not self.field.config.eye_detail or self.field.untuned:
-            return None
-        return mouth_detail(self.subject.codes)
+        return mouth_detail(self.subject.codes) if self._shows_head_model else None
+
+    @property
+    def _shows_head_model(self) -> bool:
+        """Whether eyes and mouth have the head model's detail: the field asks for it, and they are not learned."""
+        return self.field.config.eye_detail and not self.field.untuned
 
     def _refresh(self) -> None:
         """Forget what was found for other weights; the lock is held."""

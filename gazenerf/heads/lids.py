@@ -11,6 +11,7 @@ import torch
 from gazenerf.data.surface_points import template_of
 from gazenerf.field.lids import EXTENT, Lids
 from gazenerf.geometry import Gaze
+from gazenerf.geometry.gaze import outward
 from gazenerf.head_model import load_head_model
 from gazenerf.head_model.interface import FACE, HeadMesh
 from gazenerf.head_model.model import EYE_RADIUS
@@ -20,8 +21,9 @@ from gazenerf.subjects import Codes
 SIZE = 161
 """Rows and columns of a map of an opening: a degree a cell, 0.2 mm on an eyeball."""
 
-WITHIN, FARTHEST = 0.97, 1.0
-"""Radii from an eyeball's centre where a ray that looks for a lid begins, and how many it goes on."""
+WITHIN, FARTHEST, AROUND = 0.97, 1.0, 4.0
+"""Radii from an eyeball's centre where a ray that looks for a lid begins, how many it goes on, and within how many all
+skin lies that it can meet: a scene of the whole head takes most of the time."""
 
 
 def lids(codes: Codes, jaw: float) -> Lids | None:
@@ -48,15 +50,15 @@ def _template_openings(jaw: float) -> tuple[np.ndarray, np.ndarray]:
 
 def _openings(head: HeadMesh) -> np.ndarray:
     """(2, 1, N, N) openings of a head whose eyes look straight ahead; see `Lids`."""
-    skin = ray_scene(head.vertices, head.part_faces(FACE))
+    skin, eyes = head.part_faces(FACE), np.asarray(head.eye_centres)
+    near = np.linalg.norm(head.vertices[:, None] - eyes, axis=-1).min(axis=1) < AROUND * EYE_RADIUS
+    scene = ray_scene(head.vertices, skin[near[skin].any(axis=1)])
     angles = np.deg2rad(np.linspace(-EXTENT, EXTENT, SIZE))
-    elevation, azimuth = np.meshgrid(angles, angles, indexing="ij")
-    level = np.cos(elevation)
-    outward = np.stack([np.sin(azimuth) * level, np.sin(elevation), np.cos(azimuth) * level], axis=-1)
+    directions = outward(*np.meshgrid(angles, angles, indexing="ij"))
     found = []
-    for centre in head.eye_centres:
-        rays = np.concatenate([centre + WITHIN * EYE_RADIUS * outward, outward], axis=-1)
-        opening = skin.cast_rays(tensor(rays))["t_hit"].numpy() > FARTHEST * EYE_RADIUS
+    for centre in eyes:
+        rays = np.concatenate([centre + WITHIN * EYE_RADIUS * directions, directions], axis=-1)
+        opening = scene.cast_rays(tensor(rays))["t_hit"].numpy() > FARTHEST * EYE_RADIUS
         opening = _largest(opening).astype(np.uint8)
         inside, outside = (
             cv2.distanceTransform(side, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) for side in (opening, 1 - opening)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -37,27 +36,16 @@ class MouthDetail:
     """What lies behind one person's lips, which no gaze moves.
 
     Attributes:
-        vertices: (V, 3) of the head, world units.
+        scene: Of teeth, gums and tongue, and of skin and hair, which hide them; see `ray_scene`.
         inside: (F, 3) triangles of teeth, gums and tongue.
-        around: (F', 3) triangles of skin and hair, which hide them.
-        colours: (V, 3) sRGB.
+        colours: (V, 3) sRGB of the head's vertices.
         lips: (L, 3) points around the opening.
     """
 
-    vertices: np.ndarray
+    scene: Any
     inside: np.ndarray
-    around: np.ndarray
     colours: np.ndarray
     lips: np.ndarray
-
-    @cached_property
-    def _scene(self) -> Any:
-        return ray_scene(self.vertices, self.inside, self.around)
-
-    def prepare(self) -> MouthDetail:
-        """The same, with all that rays need, so that several threads can cast them."""
-        self.seen(Camera.orbit(0.0, size=2))
-        return self
 
     def seen(self, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
         """The share of each pixel (H, W) that shows the inside of the mouth, and its sRGB colour (H, W, 3) there."""
@@ -68,7 +56,7 @@ class MouthDetail:
         for top in range(0, camera.height, rows):
             part = camera.cropped(0, top, camera.width, min(rows, camera.height - top))
             fine = part.resized(part.width * finer, part.height * finer)
-            found = self._scene.cast_rays(rays_of(fine))
+            found = self.scene.cast_rays(rays_of(fine))
             met = found["geometry_ids"].numpy() == 0
             each = np.zeros((*met.shape, 3))
             each[met] = interpolated(self.colours, self.inside, found, met)
@@ -87,8 +75,10 @@ def mouth_detail(codes: Codes) -> MouthDetail | None:
         return None
     head = model.mesh(codes, Gaze())
     lips = np.stack([head.landmarks[str(number)] for number in INNER_LIPS]).astype(np.float64)
-    parts = head.part_faces(MOUTH), head.part_faces(FACE, HAIR)
-    return MouthDetail(head.vertices, *parts, shade(head, codes.illumination), lips).prepare()
+    inside = head.part_faces(MOUTH)
+    scene = ray_scene(head.vertices, inside, head.part_faces(FACE, HAIR))
+    scene.cast_rays(rays_of(Camera.orbit(0.0, size=1)))  # prepares it, which two threads at once must not
+    return MouthDetail(scene, inside, shade(head, codes.illumination), lips)
 
 
 def with_mouth_detail(bounds: Sequence[BoundHead], pictures: torch.Tensor, grid: FeatureGrid) -> torch.Tensor:
@@ -120,11 +110,4 @@ def with_mouth_detail(bounds: Sequence[BoundHead], pictures: torch.Tensor, grid:
 def _window(mouth: MouthDetail, camera: Camera) -> tuple[int, int, Camera] | None:
     """Left, top and camera of the part of a picture between the lips; None where it is outside or behind."""
     places, away = camera.project(mouth.lips)
-    if (away <= 0.0).any():
-        return None
-    low = np.maximum(np.floor(places.min(axis=0)).astype(int), 0)
-    high = np.minimum(np.ceil(places.max(axis=0)).astype(int), [camera.width, camera.height])
-    if (high <= low).any():
-        return None
-    left, top = int(low[0]), int(low[1])
-    return left, top, camera.cropped(left, top, int(high[0]) - left, int(high[1]) - top)
+    return None if (away <= 0.0).any() else camera.part_between(places.min(axis=0), places.max(axis=0))

@@ -133,10 +133,10 @@ def fit_hair(
         hair = hair_code(model.hair_names, style)
         if (found := cost(hair)) < least:
             best, least = hair, found
+    fitted = {name: ends for name, ends in RANGES.items() if name in index and (name != "beard" or wanted.bearded)}
     for step in STEPS:
-        for name, (low, high) in RANGES.items():
-            known = name in index and (name != "beard" or wanted.bearded)
-            for sign in (1.0, -1.0) if known else ():
+        for name, (low, high) in fitted.items():
+            for sign in (1.0, -1.0):
                 while True:
                     tried = best.copy()
                     tried[index[name]] = np.clip(tried[index[name]] + sign * step, low, high)

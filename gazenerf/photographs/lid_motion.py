@@ -11,7 +11,7 @@ from scipy.sparse.linalg import splu
 
 from gazenerf.geometry import Camera
 from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, FACE, HeadMesh
-from gazenerf.head_model.ray_scenes import ray_scene, rays_of, tensor
+from gazenerf.head_model.ray_scenes import barycentric, ray_scene, rays_of, tensor
 
 LARGEST_SIDE = 200
 """Pixels: motion is computed in pictures no larger than this, it is smooth."""
@@ -63,9 +63,8 @@ def skin_hits(mesh: HeadMesh, camera: Camera) -> tuple[np.ndarray, np.ndarray, n
         (H, W) indices into `mesh.part_faces(FACE)`, (H, W, 3) barycentric weights, (H, W) bool where skin is seen.
     """
     found = _cast(mesh, camera)
-    part, uv = found["geometry_ids"].numpy(), found["primitive_uvs"].numpy()
-    weights = np.concatenate([1.0 - uv.sum(axis=-1, keepdims=True), uv], axis=-1)
-    return np.where(part == FACE, found["primitive_ids"].numpy(), 0).astype(np.int64), weights, part == FACE
+    skin = found["geometry_ids"].numpy() == FACE
+    return np.where(skin, found["primitive_ids"].numpy(), 0).astype(np.int64), barycentric(found), skin
 
 
 def shown_part(mesh: HeadMesh, camera: Camera, part: int) -> np.ndarray:

@@ -20,11 +20,12 @@ from gazenerf.data.surface_points import template_of
 from gazenerf.errors import UserError
 from gazenerf.field.detail import AROUND_EYES, DARK, EXTENT, detail_coordinates
 from gazenerf.field.model import TwoStreamField
+from gazenerf.geometry.gaze import outward
 from gazenerf.head_model import load_head_model
 from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, FACE, HeadMesh
 from gazenerf.head_model.model import ParametricHead
 from gazenerf.head_model.mouth import INNER_LIPS
-from gazenerf.head_model.ray_scenes import ray_scene, tensor
+from gazenerf.head_model.ray_scenes import barycentric, ray_scene, tensor
 from gazenerf.head_model.sampling import sample_person
 from gazenerf.head_model.shading import linear_to_srgb
 
@@ -104,19 +105,17 @@ class TemplateSkin:
     ) -> None:
         self._model, self.size, self.extent = model, size, extent
         template = template_of(model, jaw)
-        elevation, azimuth = np.meshgrid(*map(np.radians, self._angles()), indexing="ij")
-        level = np.cos(elevation)
-        outward = np.stack([np.sin(azimuth) * level, np.sin(elevation), np.cos(azimuth) * level], axis=-1)
-        rays = np.concatenate([FAR * outward, -outward], axis=-1).reshape(-1, 6)
+        away = outward(*np.meshgrid(*map(np.radians, self._angles()), indexing="ij"))
+        rays = np.concatenate([FAR * away, -away], axis=-1).reshape(-1, 6)
         eyes = template.part_faces(EYE_LEFT, EYE_RIGHT)
         skin = template.part_faces(FACE)
         first = ray_scene(template.vertices, skin, eyes).cast_rays(tensor(rays))["geometry_ids"].numpy()
         found = ray_scene(template.vertices, skin).cast_rays(tensor(rays))
-        met, weights = found["primitive_ids"].numpy().astype(np.int64), found["primitive_uvs"].numpy()
+        met = found["primitive_ids"].numpy().astype(np.int64)
         away = found["t_hit"].numpy()
         seen, hit = _not_in_a_gap(away.reshape(size)), np.isfinite(away)
         self._corners = skin[np.where(hit, met, 0)][seen]
-        self._weights = (np.column_stack([1.0 - weights.sum(1), weights]) * hit[:, None])[seen]
+        self._weights = (barycentric(found) * hit[:, None])[seen]
         self._openings = (first == 1).reshape(size)
         if jaw > 0.0:
             self._openings |= self._between_lips(template)

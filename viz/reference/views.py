@@ -17,6 +17,7 @@ from gazenerf.errors import UserError
 from gazenerf.geometry import Camera
 from gazenerf.head_model import HeadMesh
 from gazenerf.head_model.interface import PICTURE_LABELS
+from gazenerf.head_model.ray_scenes import barycentric
 
 RENDERERS = ("mitsuba", "pyrender", "open3d")
 
@@ -144,10 +145,8 @@ def _open3d(mesh: HeadMesh, cameras: list[Camera], illumination: np.ndarray | No
         t = answer["t_hit"].numpy()
         seen = np.isfinite(t)
         face = answer["primitive_ids"].numpy()[seen].astype(np.int64)
-        uv = answer["primitive_uvs"].numpy()[seen]
-        weights = np.stack([1.0 - uv.sum(axis=1), uv[:, 0], uv[:, 1]], axis=1)
         normals = np.full((*t.shape, 3), np.nan, np.float32)
-        normals[seen] = _interpolated(mesh, face, weights)
+        normals[seen] = _interpolated(mesh, face, barycentric(answer, seen))
         parts = np.zeros(t.shape, np.uint8)
         parts[seen] = PICTURE_LABELS[mesh.face_part[face]]
         views.append(ReferenceView(camera, np.where(seen, t, np.nan).astype(np.float32), normals, parts, "open3d"))

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 from gazenerf.geometry import Gaze
+from gazenerf.geometry.gaze import rotation_y
 from gazenerf.geometry.paths import GazeRange
 from gazenerf.head_model import HeadMesh, ReferenceHead
 from gazenerf.head_model.interface import EYE_LEFT
@@ -97,8 +98,7 @@ class FieldFault:
 
 def turned_mesh(mesh: HeadMesh, degrees: float) -> HeadMesh:
     """A reference turned about the vertical axis towards the subject's left."""
-    sine, cosine = np.sin(np.deg2rad(degrees)), np.cos(np.deg2rad(degrees))
-    turn = np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])
+    turn = rotation_y(float(np.deg2rad(degrees)))
     return replace(
         mesh,
         vertices=(mesh.vertices @ turn.T).astype(np.float32),
