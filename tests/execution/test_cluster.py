@@ -56,14 +56,22 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
         words = ["--nthreads", "1", "--no-nanny", "--local-directory", str(folder)]
         workers = [start("worker", *words) for _ in range(2)]  # a worker waits for the scheduler's file
         until = time.monotonic() + PATIENCE_S
-        while not (folder / "scheduler.json").is_file():
+        while (address := address_in(folder / "scheduler.json")) is None:
             assert scheduler.poll() is None and time.monotonic() < until, (folder / "0.log").read_text()
             time.sleep(0.05)
-        yield Running(json.loads((folder / "scheduler.json").read_text())["address"], scheduler, workers)
+        yield Running(address, scheduler, workers)
     finally:
         for process in started:
             process.kill()
             process.wait()
+
+
+def address_in(file: Path) -> str | None:
+    """Where a scheduler says it listens; none before it has written its file, which it makes empty first."""
+    try:
+        return json.loads(file.read_text())["address"]
+    except (FileNotFoundError, json.JSONDecodeError):
+        return None
 
 
 def kill_noted(folder: Path) -> None:
