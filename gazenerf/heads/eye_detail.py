@@ -107,12 +107,9 @@ def _nearer(along: np.ndarray, aside: np.ndarray, radius: np.ndarray) -> np.ndar
     return -along - np.sqrt(np.maximum(radius**2 - aside, 0.0))
 
 
-def eye_detail(codes: Codes) -> EyeDetail | None:
-    """The eyes of a person; None where the codes are not the bundled head model's."""
-    model = load_head_model()
-    if codes.sizes != model.code_sizes:
-        return None
-    eye = build_eye_mesh()
+def eye_detail(codes: Codes) -> EyeDetail:
+    """The eyes of a person of the bundled head model."""
+    model, eye = load_head_model(), build_eye_mesh()
     rings = eye.albedo(codes.texture[len(model.albedo_basis) :])[1:-1].reshape(len(eye.ring_angles), -1, 3)
     iris = eye.ring_angles <= RINGS_END
     bright = np.log(linear_to_srgb(rings[iris]).mean(axis=-1) + DARK)

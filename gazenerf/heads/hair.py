@@ -10,11 +10,9 @@ from scipy.spatial import KDTree
 from gazenerf.data.surface_points import template_of
 from gazenerf.field.config import FieldConfig
 from gazenerf.field.hair import HairVolume
-from gazenerf.geometry import Gaze
 from gazenerf.head_model import HAIR, HeadMesh, ParametricHead, load_head_model
 from gazenerf.head_model.interface import FACE
 from gazenerf.head_model.ray_scenes import interpolated, ray_scene, tensor
-from gazenerf.subjects import Codes
 
 CELL, COARSE, ROOT_CELL = 0.03, 0.12, 0.09
 """Sides, world units, of cells of distances, of those that tell what is near the surface, and of those of roots."""
@@ -41,24 +39,22 @@ def takes_hair(config: FieldConfig) -> bool:
     return config.geometry == "distance" and config.features_at == "template"
 
 
-def hair_volume(codes: Codes, jaw: float) -> HairVolume | None:
-    """The volume of a person's hair; None where the codes are not the bundled head model's, or raise no hair.
+def hair_volume(head: HeadMesh, jaw: float) -> HairVolume | None:
+    """The volume of a head's hair; None where it has none.
 
     It belongs to one expression; a gaze moves lids alone.
 
     Args:
-        codes: Of the person.
+        head: Of the bundled head model.
         jaw: How far the mouth of the field's template is open.
     """
-    model = load_head_model()
-    if codes.sizes != model.code_sizes or codes.hair.size != len(model.hair_names) or not codes.hair.any():
-        return None
-    head = model.mesh(codes, Gaze())
     faces = head.part_faces(HAIR)
+    if not len(faces):
+        return None
     vertices = head.vertices[np.unique(faces)]
     low, high = vertices.min(axis=0) - MARGIN, vertices.max(axis=0) + MARGIN
     values = _distances_and_tones(head, faces, low, high)
-    arrays = low, high, values[None], np.moveaxis(_roots(model, head, jaw, low, high), -1, 0)[None]
+    arrays = low, high, values[None], np.moveaxis(_roots(load_head_model(), head, jaw, low, high), -1, 0)[None]
     return HairVolume(*(torch.from_numpy(np.ascontiguousarray(array, np.float32)) for array in arrays))
 
 

@@ -26,14 +26,14 @@ from gazenerf.geometry import Gaze
 from gazenerf.geometry.paths import BeyondTraining, GazeRange
 from gazenerf.heads.batches import FrameBatches, draw_guided
 from gazenerf.heads.bound import BoundHead
-from gazenerf.heads.eye_detail import EyeDetail, eye_detail
-from gazenerf.heads.hair import hair_volume, takes_hair
+from gazenerf.heads.eye_detail import EyeDetail
+from gazenerf.heads.hair import takes_hair
 from gazenerf.heads.interface import Part
 from gazenerf.heads.lattice import Band
-from gazenerf.heads.lids import lids
-from gazenerf.heads.mouth_detail import MouthDetail, mouth_detail
+from gazenerf.heads.mouth_detail import MouthDetail
 from gazenerf.heads.occupancy import MOVED, Occupancy
 from gazenerf.heads.painter import Painter
+from gazenerf.heads.person import Person
 from gazenerf.heads.personal import personal_field
 from gazenerf.heads.skin_bands import skin_detail
 from gazenerf.subjects import Subject
@@ -75,6 +75,7 @@ class Head:
         device: `auto`, `cpu`, `cuda` or `cuda:N`, to which the field is moved; where it is when None.
         precision: Of matrix products, one of `gazenerf.devices.PRECISIONS`; see there for the error.
         upsampler: One of `gazenerf.heads.upsampler.BACKENDS`; when None `folded` in float32, else `reference`.
+        like: A head of the same field, of this or another subject; what was found for it and holds here is used again.
 
     Attributes:
         frames: Draws several views in one pass.
@@ -93,6 +94,7 @@ class Head:
         device: str | torch.device | None = None,
         precision: str = "auto",
         upsampler: str | None = None,
+        like: Head | None = None,
     ) -> None:
         config = field.config
         if subject.codes.sizes != config.code_sizes:
@@ -109,10 +111,12 @@ class Head:
         self.precision, self.dtype = precision, product_dtype(precision, self.device)
         self.chunk = points_at_once(self.device)
         self.metres_per_unit, self.weights_hash = config.metres_per_unit, field.weights_hash
-        self._hair: HairVolume | None = None
-        self._hair_known = not (subject.codes.hair.any() and takes_hair(config))
+        if like is not None and like.subject is subject:
+            self._person = like._person
+        else:
+            self._person = Person(subject.codes, field.template_jaw, None if like is None else like._person)
         if self.sampler == "guided":
-            self.box = np.array(GUIDED_BOX if self._hair_known else HAIRY_BOX)
+            self.box = np.array(HAIRY_BOX if subject.codes.hair.any() and takes_hair(config) else GUIDED_BOX)
         else:
             side = SLAB_HALF_WIDTH
             self.box = np.array([[-side, -side, config.z_far], [side, side, config.z_near]])
@@ -165,7 +169,8 @@ class Head:
         """The same head sampled in another way; itself where it already is."""
         if sampler == self.sampler:
             return self
-        return Head(self.field, self.subject, sampler=sampler, precision=self.precision, upsampler=self.painter.backend)
+        backend = self.painter.backend
+        return Head(self.field, self.subject, sampler=sampler, precision=self.precision, upsampler=backend, like=self)
 
     def without_highlights(self) -> Head:
         """The same head with eyes that mirror no light, for textures: a highlight stays where the camera sees it, and
@@ -261,21 +266,16 @@ class Head:
             found[face] = replace(found[face], distance=known._replace(hair=self.hair, lids=self.lids))
         return label, found
 
-    @property
+    @cached_property
     def hair(self) -> HairVolume | None:
         """The subject's hair; None where it has none, or the field cannot take any."""
-        with self._lock:
-            if not self._hair_known:
-                found = hair_volume(self.subject.codes, self.field.template_jaw)
-                self._hair, self._hair_known = None if found is None else found.to(self.device), True
-            return self._hair
+        found = self._person.hair if takes_hair(self.field.config) else None
+        return None if found is None else found.to(self.device)
 
     @cached_property
     def lids(self) -> Lids | None:
         """The subject's lids; None where they are unknown, or the field has no distances to lay them over."""
-        if not takes_hair(self.field.config):
-            return None
-        found = lids(self.subject.codes, self.field.template_jaw)
+        found = self._person.lids if takes_hair(self.field.config) else None
         return None if found is None else found.to(self.device)
 
     @property
@@ -293,12 +293,12 @@ class Head:
     @cached_property
     def eye_detail(self) -> EyeDetail | None:
         """The detail of the subject's eyes; None where the field does not ask for any, or the eyes are learned."""
-        return eye_detail(self.subject.codes) if self._shows_head_model else None
+        return self._person.eyes if self._shows_head_model else None
 
     @cached_property
     def mouth_detail(self) -> MouthDetail | None:
         """What the subject's open mouth shows; None where the field does not ask for it, or the mouth is learned."""
-        return mouth_detail(self.subject.codes) if self._shows_head_model else None
+        return self._person.mouth if self._shows_head_model else None
 
     @property
     def _shows_head_model(self) -> bool:

@@ -10,13 +10,11 @@ import torch
 
 from gazenerf.data.surface_points import template_of
 from gazenerf.field.lids import EXTENT, Lids
-from gazenerf.geometry import Gaze
 from gazenerf.geometry.gaze import outward
 from gazenerf.head_model import load_head_model
 from gazenerf.head_model.interface import FACE, HeadMesh
 from gazenerf.head_model.model import EYE_RADIUS
 from gazenerf.head_model.ray_scenes import ray_scene, tensor
-from gazenerf.subjects import Codes
 
 SIZE = 161
 """Rows and columns of a map of an opening: a degree a cell, 0.2 mm on an eyeball."""
@@ -26,17 +24,14 @@ WITHIN, FARTHEST, AROUND = 0.97, 1.0, 4.0
 skin lies that it can meet: a scene of the whole head takes most of the time."""
 
 
-def lids(codes: Codes, jaw: float) -> Lids | None:
-    """A person's lids; None where the codes are not the bundled head model's.
+def lids(head: HeadMesh, jaw: float) -> Lids:
+    """The lids of a head whose eyes look straight ahead.
 
     Args:
-        codes: Of the person.
+        head: Of the bundled head model.
         jaw: How far the mouth of the field's template is open.
     """
-    model = load_head_model()
-    if codes.sizes != model.code_sizes:
-        return None
-    head, (template_centres, openings) = model.mesh(codes, Gaze()), _template_openings(jaw)
+    template_centres, openings = _template_openings(jaw)
     arrays = head.eye_centres, template_centres, openings, _openings(head), np.array(EYE_RADIUS)
     return Lids(*(torch.from_numpy(np.array(array, np.float32)) for array in arrays))
 

@@ -7,19 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import torch
 
-from gazenerf.geometry import Camera, Gaze
-from gazenerf.head_model import load_head_model
-from gazenerf.head_model.interface import FACE, HAIR, MOUTH
+from gazenerf.geometry import Camera
+from gazenerf.head_model.interface import FACE, HAIR, MOUTH, HeadMesh
 from gazenerf.head_model.mouth import INNER_LIPS
 from gazenerf.head_model.ray_scenes import interpolated, ray_scene, rays_of
-from gazenerf.head_model.shading import shade
 from gazenerf.heads.feature_map import FeatureGrid
-from gazenerf.subjects import Codes
 
 if TYPE_CHECKING:
     from gazenerf.heads.bound import BoundHead
@@ -31,21 +28,31 @@ MOST_RAYS = 1 << 20
 """Rays that are cast at once, about."""
 
 
-@dataclass(frozen=True)
-class MouthDetail:
-    """What lies behind one person's lips, which no gaze moves.
+class MouthScene(NamedTuple):
+    """What lies behind a person's lips, which no gaze moves.
 
     Attributes:
-        scene: Of teeth, gums and tongue, and of skin and hair, which hide them; see `ray_scene`.
+        scene: Of teeth, gums and tongue, and of the skin and hair that may hide them; see `ray_scene`.
         inside: (F, 3) triangles of teeth, gums and tongue.
-        colours: (V, 3) sRGB of the head's vertices.
         lips: (L, 3) points around the opening.
     """
 
     scene: Any
     inside: np.ndarray
-    colours: np.ndarray
     lips: np.ndarray
+
+
+@dataclass(frozen=True)
+class MouthDetail:
+    """A person's mouth, coloured.
+
+    Attributes:
+        shape: Of it.
+        colours: (V, 3) sRGB of the head's vertices.
+    """
+
+    shape: MouthScene
+    colours: np.ndarray
 
     def seen(self, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
         """The share of each pixel (H, W) that shows the inside of the mouth, and its sRGB colour (H, W, 3) there."""
@@ -56,10 +63,10 @@ class MouthDetail:
         for top in range(0, camera.height, rows):
             part = camera.cropped(0, top, camera.width, min(rows, camera.height - top))
             fine = part.resized(part.width * finer, part.height * finer)
-            found = self.scene.cast_rays(rays_of(fine))
+            found = self.shape.scene.cast_rays(rays_of(fine))
             met = found["geometry_ids"].numpy() == 0
             each = np.zeros((*met.shape, 3))
-            each[met] = interpolated(self.colours, self.inside, found, met)
+            each[met] = interpolated(self.colours, self.shape.inside, found, met)
             blocks = part.height, finer, part.width, finer
             count = met.reshape(blocks).sum(axis=(1, 3))
             total = each.reshape(*blocks, 3).sum(axis=(1, 3))
@@ -68,17 +75,18 @@ class MouthDetail:
         return share, colour
 
 
-def mouth_detail(codes: Codes) -> MouthDetail | None:
-    """The mouth of a person; None where the codes are not the bundled head model's."""
-    model = load_head_model()
-    if codes.sizes != model.code_sizes:
-        return None
-    head = model.mesh(codes, Gaze())
+def mouth_scene(head: HeadMesh) -> MouthScene:
+    """The mouth of a head of the bundled head model.
+
+    Only skin and hair farther to the front than its deepest point can hide it from a camera before the face; without
+    the rest rays are prepared for in half the time.
+    """
     lips = np.stack([head.landmarks[str(number)] for number in INNER_LIPS]).astype(np.float64)
-    inside = head.part_faces(MOUTH)
-    scene = ray_scene(head.vertices, inside, head.part_faces(FACE, HAIR))
+    inside, outside = head.part_faces(MOUTH), head.part_faces(FACE, HAIR)
+    before = head.vertices[:, 2] > head.vertices[np.unique(inside), 2].min()
+    scene = ray_scene(head.vertices, inside, outside[before[outside].any(axis=1)])
     scene.cast_rays(rays_of(Camera.orbit(0.0, size=1)))  # prepares it, which two threads at once must not
-    return MouthDetail(scene, inside, shade(head, codes.illumination), lips)
+    return MouthScene(scene, inside, lips)
 
 
 def with_mouth_detail(bounds: Sequence[BoundHead], pictures: torch.Tensor, grid: FeatureGrid) -> torch.Tensor:
@@ -93,7 +101,7 @@ def with_mouth_detail(bounds: Sequence[BoundHead], pictures: torch.Tensor, grid:
     if mouth is None:
         return pictures
     height, width = pictures.shape[-2:]
-    windows = [_window(mouth, camera.resized(width, height)) for camera in grid.cameras]
+    windows = [_window(mouth.shape.lips, camera.resized(width, height)) for camera in grid.cameras]
     if not any(windows):
         return pictures
     detailed = pictures.clone().reshape(-1, *pictures.shape[-3:])
@@ -107,7 +115,10 @@ def with_mouth_detail(bounds: Sequence[BoundHead], pictures: torch.Tensor, grid:
     return detailed.reshape(pictures.shape)
 
 
-def _window(mouth: MouthDetail, camera: Camera) -> tuple[int, int, Camera] | None:
-    """Left, top and camera of the part of a picture between the lips; None where it is outside or behind."""
-    places, away = camera.project(mouth.lips)
-    return None if (away <= 0.0).any() else camera.part_between(places.min(axis=0), places.max(axis=0))
+def _window(lips: np.ndarray, camera: Camera) -> tuple[int, int, Camera] | None:
+    """Left, top and camera of the part of a picture between the lips; None where it is outside, or the camera is not
+    before the face."""
+    places, away = camera.project(lips)
+    if (away <= 0.0).any() or camera.position[2] <= lips[:, 2].min():
+        return None
+    return camera.part_between(places.min(axis=0), places.max(axis=0))

@@ -19,7 +19,7 @@ from gazenerf.head_model.ray_scenes import ray_scene, tensor
 from gazenerf.head_model.sampling import sample_person
 from gazenerf.heads import Head
 from gazenerf.heads.lids import lids
-from gazenerf.subjects import Codes, Subject, load_subject
+from gazenerf.subjects import Subject, load_subject
 
 CONTOURS = (range(42, 48), range(36, 42))
 """Standard landmarks around the opening of the subject's left and right eye."""
@@ -27,9 +27,7 @@ CONTOURS = (range(42, 48), range(36, 42))
 
 @pytest.fixture(scope="module")
 def known() -> Lids:
-    found = lids(load_subject("jana").codes, 0.0)
-    assert found is not None
-    return found
+    return lids(load_head_model().mesh(load_subject("jana").codes, Gaze()), 0.0)
 
 
 def border(known: Lids, places: np.ndarray, eye: int) -> np.ndarray:
@@ -70,10 +68,6 @@ def test_what_is_far_from_eyes_stays_as_it_is(known: Lids) -> None:
     with_an_eye = torch.cat([points, known.centres[:1, None]], dim=1)
     found = known.over(torch.tensor([[0.3, -0.4, -0.1]]), with_an_eye, with_an_eye)
     assert torch.equal(found[:, :2], distance)
-
-
-def test_a_person_of_another_head_model_has_none() -> None:
-    assert lids(Codes(*(np.zeros(size, np.float32) for size in (3, 3, 3, 27))), 0.0) is None
 
 
 def wrong_places(head: Head, gaze: Gaze) -> int:

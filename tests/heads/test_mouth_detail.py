@@ -10,13 +10,13 @@ import pytest
 from gazenerf.checkpoints import load_field
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model import MOUTH, load_head_model
-from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, FACE, HeadMesh
+from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, FACE, HAIR, HeadMesh
 from gazenerf.head_model.ray_scenes import ray_scene, rays_of
 from gazenerf.head_model.shading import shade
 from gazenerf.heads import Head, mouth_detail
 from gazenerf.heads.baked import bake, draw_together
 from gazenerf.image_metrics import psnr
-from gazenerf.subjects import Codes, Subject, load_subject
+from gazenerf.subjects import Subject, load_subject
 from gazenerf.training.texture_detail import without_detail
 
 CAMERA = Camera.orbit(0.3, size=256)
@@ -36,10 +36,8 @@ def mesh(subject: Subject) -> HeadMesh:
 
 
 @pytest.fixture(scope="module")
-def detail(subject: Subject) -> mouth_detail.MouthDetail:
-    found = mouth_detail.mouth_detail(subject.codes)
-    assert found is not None
-    return found
+def detail(subject: Subject, mesh: HeadMesh) -> mouth_detail.MouthDetail:
+    return mouth_detail.MouthDetail(mouth_detail.mouth_scene(mesh), shade(mesh, subject.codes.illumination))
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +66,17 @@ def test_it_has_the_colours_of_the_head_models_triangles(
     assert np.abs(colour[inside] - corners.mean(axis=1))[whole].mean() < 0.03
     between = (colour[inside] > corners.min(axis=1) - 0.1) & (colour[inside] < corners.max(axis=1) + 0.1)
     assert between[whole].mean() > 0.95
+
+
+@pytest.mark.parametrize(("yaw", "pitch"), [(0.0, 0.5), (0.4, -0.7), (1.0, 0.2), (-1.3, 0.0), (0.3, 1.2), (1.5, -0.4)])
+def test_what_hides_a_mouth_is_all_there(
+    mesh: HeadMesh, detail: mouth_detail.MouthDetail, yaw: float, pitch: float
+) -> None:
+    camera = Camera.orbit(yaw, pitch, size=128)
+    whole = ray_scene(mesh.vertices, mesh.part_faces(MOUTH), mesh.part_faces(FACE, HAIR))
+    everything = replace(detail, shape=detail.shape._replace(scene=whole))
+    for one, other in zip(detail.seen(camera), everything.seen(camera), strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_a_few_rows_at_a_time_are_the_same(detail: mouth_detail.MouthDetail, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -109,13 +118,12 @@ def test_nothing_is_drawn_where_no_mouth_is_seen(heads: tuple[Head, Head]) -> No
     before, after = (head.at(Gaze()).render(behind).image for head in heads)
     assert np.array_equal(before, after)
     looking_away = Camera.look_at(np.array([0.0, 0.0, 3.0]), np.array([0.0, 0.0, 9.0]), size=64)
-    assert mouth_detail._window(heads[1].mouth_detail, looking_away) is None
+    assert mouth_detail._window(heads[1].mouth_detail.shape.lips, looking_away) is None
 
 
-def test_fields_that_do_not_ask_and_people_of_other_head_models_have_none(subject: Subject) -> None:
+def test_fields_that_do_not_ask_have_none(subject: Subject) -> None:
     assert Head(without_detail(load_field("portrait-sdf")), subject).mouth_detail is None
     assert Head(load_field("portrait"), subject).mouth_detail is None
-    assert mouth_detail.mouth_detail(Codes(*(np.zeros(size, np.float32) for size in (3, 3, 3, 27)))) is None
 
 
 def test_a_small_mouth_is_drawn_in_half_precision(heads: tuple[Head, Head]) -> None:

@@ -14,11 +14,11 @@ class Jobs:
     """Runs one command at a time.
 
     Args:
-        ended: Given the words of a command and what went wrong, empty where it went well, in a thread of the job.
+        ended: Given the words of a command, its exit code and the last line that it said, in a thread of the job.
         progress: Told how far the command is, in a thread of the job.
     """
 
-    def __init__(self, ended: Callable[[list[str], str], None], progress: Progress = silent) -> None:
+    def __init__(self, ended: Callable[[list[str], int, str], None], progress: Progress = silent) -> None:
         self._ended, self._progress = ended, progress
         self._lock = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
@@ -50,5 +50,4 @@ class Jobs:
         last = follow(process, self._progress)
         with self._lock:
             self._process = None
-        failed = process.returncode not in (0, 1)  # 1: a check's threshold failed; its report is there
-        self._ended(words, last if failed else "")
+        self._ended(words, process.returncode, last)

@@ -164,12 +164,12 @@ class MakeControls:
         self.progress.value = 100.0 * min(max(done / max(total, 1), 0.0), 1.0)
         self.status.content = f"Running: {stage}, {done} of {total}"
 
-    def _ended(self, words: list[str], wrong: str) -> None:
+    def _ended(self, words: list[str], code: int, said: str) -> None:
         self.progress.visible = False
-        if wrong:
-            self.status.content = f"`gazenerf {words[0]}` failed: {wrong}"
-            return
         out = Path(words[-1])
+        if code not in (0, 1) or not out.exists():  # 1 with a report: a check's threshold failed
+            self.status.content = f"`gazenerf {words[0]}` failed: {said}"
+            return
         self.status.content = f"Written: `{out}`."
         client = self._client
         if client is not None and client.client_id in self._server.get_clients():

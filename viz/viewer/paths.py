@@ -93,7 +93,7 @@ class Paths:
             self._head, self._drawer = kept
             self._waiting = None
         else:
-            self._head = head_of(self._first, subject)
+            self._head = head_of(self._first if subject is self._first.subject else self._head, subject)
             self._drawer = Drawer.unprepared(self._head)
             self._waiting = self._head
         self._condition.notify_all()
@@ -163,7 +163,7 @@ def head_of(head: HeadField, subject: Subject) -> HeadField:
         return head
     if not isinstance(head, Head):
         raise UserError("this field knows one subject only")
-    return Head(head.field, subject, sampler=head.sampler, precision=head.precision)
+    return Head(head.field, subject, sampler=head.sampler, precision=head.precision, like=head)
 
 
 def _path(head: HeadField, progress: Progress) -> RenderPath:

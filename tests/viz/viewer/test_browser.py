@@ -177,6 +177,11 @@ QUICK = ["--frames", "2", "--size", "64"]
 """Makes the command quick without changing what it is for."""
 
 
+def test_a_command_that_leaves_no_file_has_failed(page, tmp_path):
+    page.make._ended(["orbit", "--out", str(tmp_path / "orbit.mp4")], 1, "ImportError: half a package")
+    assert page.make.status.content == "`gazenerf orbit` failed: ImportError: half a package"
+
+
 def test_two_tabs_have_their_own_cameras_and_one_head(tab, browser, page):
     own = tab.now().camera.position
     other = Tab(browser, page)

@@ -121,14 +121,14 @@ def test_names_from_strangers_name_files_in_the_folder_only(name):
 
 def test_one_command_runs_at_a_time_and_failures_are_said(tmp_path):
     ended = []
-    jobs = Jobs(lambda words, wrong: ended.append((words[0], wrong)))
+    jobs = Jobs(lambda words, code, said: ended.append((words[0], code, said)))
     assert jobs.start(["orbit", "--camera-path", "nowhere", "--out", str(tmp_path / "a.mp4")])
     assert not jobs.start(["subjects"])
     wait_until(lambda: len(ended) == 1, 60.0)
-    assert ended[0][0] == "orbit" and "nowhere" in ended[0][1] and not jobs.busy
+    assert ended[0][:2] == ("orbit", 2) and "nowhere" in ended[0][2] and not jobs.busy
     assert jobs.start(["subjects"])
     wait_until(lambda: len(ended) == 2, 60.0)
-    assert ended[1] == ("subjects", "")
+    assert ended[1][:2] == ("subjects", 0)
 
 
 QUICK = ["--size", "32", "--speed", "guided"]
@@ -136,10 +136,10 @@ QUICK = ["--size", "32", "--speed", "guided"]
 
 def test_a_command_says_how_far_it_is_and_ends_with_the_viewer(tmp_path):
     ended, told = [], []
-    jobs = Jobs(lambda words, wrong: ended.append(wrong), lambda *how_far: told.append(how_far))
+    jobs = Jobs(lambda words, code, said: ended.append(code), lambda *how_far: told.append(how_far))
     jobs.start(["orbit", "--checkpoint", "small", "--frames", "5000", *QUICK, "--out", str(tmp_path / "a.mp4")])
     wait_until(lambda: len(told) > 2, 60.0)
     jobs.close()
     assert all(stage and 0 <= done <= total for stage, done, total in told)
     wait_until(lambda: bool(ended), 20.0)
-    assert ended[0] and not (tmp_path / "a.mp4").exists()
+    assert ended[0] not in (0, 1) and not (tmp_path / "a.mp4").exists()

@@ -1,0 +1,95 @@
+"""What the head model tells of a person is found once, and again only where codes that it depends on change."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gazenerf.checkpoints import load_field
+from gazenerf.field.model import TwoStreamField
+from gazenerf.geometry import Camera, Gaze
+from gazenerf.heads import Head
+from gazenerf.heads.person import Person
+from gazenerf.subjects import Codes, Subject, load_subject
+
+THINGS = ("hair", "lids", "eyes", "mouth")
+
+
+@pytest.fixture(scope="module")
+def field() -> TwoStreamField:
+    return load_field("portrait-sdf")
+
+
+@pytest.fixture(scope="module")
+def jana() -> Subject:
+    return load_subject("jana")
+
+
+@pytest.fixture(scope="module")
+def person(jana: Subject) -> Person:
+    found = Person(jana.codes, 0.0)
+    assert all(getattr(found, name) is not None for name in THINGS)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("code", "kept"),
+    [
+        ("identity", set()),
+        ("expression", {"eyes"}),
+        ("texture", {"lids", "scene"}),
+        ("illumination", {"hair", "lids", "scene"}),
+        ("hair", {"lids", "eyes"}),
+    ],
+)
+def test_what_a_code_does_not_change_is_kept_and_the_rest_is_as_found_anew(
+    person: Person, code: str, kept: set[str]
+) -> None:
+    other = getattr(person.codes, code).copy()
+    other[-2] += 0.1
+    codes = replace(person.codes, **{code: other})
+    moved, alone = Person(codes, 0.0, like=person), Person(codes, 0.0)
+    assert {name for name in THINGS if getattr(moved, name) is getattr(person, name)} == kept - {"scene"}
+    assert moved.mouth is not None and person.mouth is not None and alone.mouth is not None
+    assert (moved.mouth.shape is person.mouth.shape) == ("scene" in kept)
+    np.testing.assert_array_equal(moved.mouth.colours, alone.mouth.colours)
+    camera = Camera.orbit(0.1, size=96)
+    for one, same in zip(moved.mouth.seen(camera), alone.mouth.seen(camera), strict=True):
+        np.testing.assert_array_equal(one, same)
+    for name in ("hair", "lids"):
+        for one, same in zip(getattr(moved, name), getattr(alone, name), strict=True):
+            np.testing.assert_array_equal(one, same)
+
+
+def test_a_head_sampled_otherwise_asks_for_nothing_again(field: TwoStreamField, jana: Subject) -> None:
+    head = Head(field, jana)
+    found = head.lids, head.hair, head.mouth_detail, head.eye_detail
+    other = head.with_sampler("slabs")
+    assert other is not head
+    assert other.mouth_detail is found[2] and other.eye_detail is found[3]
+    assert found[0] is not None and found[1] is not None and other.lids is not None and other.hair is not None
+    assert all(one is same for one, same in zip((*other.lids, *other.hair), (*found[0], *found[1]), strict=True))
+
+
+def test_a_head_like_another_draws_the_same_picture(field: TwoStreamField, jana: Subject) -> None:
+    expression = jana.codes.expression.copy()
+    expression[3] += 0.4
+    moved = replace(jana, codes=replace(jana.codes, expression=expression))
+    before, camera = Head(field, jana), Camera.orbit(0.3, size=64)
+    before.at(Gaze()).render(camera)
+    images = [Head(field, moved, like=like).at(Gaze()).render(camera).image for like in (None, before)]
+    np.testing.assert_array_equal(images[0], images[1])
+
+
+@pytest.mark.parametrize(
+    "codes",
+    [
+        Codes(*(np.zeros(size, np.float32) for size in (3, 3, 3, 27))),
+        replace(load_subject("jana").codes, hair=np.ones(3, np.float32)),
+    ],
+    ids=["another head model", "other hair codes"],
+)
+def test_of_people_of_other_head_models_nothing_is_known(codes: Codes) -> None:
+    assert all(getattr(Person(codes, 0.0), name) is None for name in THINGS)
