@@ -23,6 +23,10 @@ VISIBLE_SHARE = 2e-4
 JITTER = 0.02
 """Share of the resized picture's side by which training moves the eye windows, at most."""
 
+TURN, SCALE = 6.0, 0.08
+"""Degrees by which training turns pictures in their plane, and share by which it changes their size, at most. Neither
+changes the gaze in the head frame, nor the direction to the camera."""
+
 SOFT, SOFTEST = 0.5, (100, 400)
 """Share of the pictures whose eye windows training takes down and back up, as smaller pictures are, and their sides."""
 
@@ -248,11 +252,7 @@ def _augmented(
     gaze, eyes, towards = data.gaze[rows].clone(), data.eyes[rows].clone(), data.towards[rows].clone()
     small, around = data.small[rows].float() / 255.0, data.around[rows].float() / 255.0
     n, (height, width) = len(rows), data.layout.window
-    windows = around.new_empty(n, 2, 3, height, width)
-    moves = torch.randint(0, 2 * data.jitter + 1, (n, 2, 2)).tolist()
-    for i in range(n):
-        for k, (row, column) in enumerate(moves[i]):
-            windows[i, k] = around[i, k, :, row : row + height, column : column + width]
+    small, windows, eyes = _moved(small, around, eyes, data.layout.window, data.jitter)
     flip = torch.rand(n) < 0.5
     small[flip] = small[flip].flip(3)
     windows[flip] = windows[flip].flip((1, 4))
@@ -272,3 +272,27 @@ def _augmented(
     small = (small + 0.01 * torch.randn_like(small)).clamp(0.0, 1.0)
     windows = (windows + 0.01 * torch.randn_like(windows)).clamp(0.0, 1.0)
     return small, windows, gaze, eyes, towards
+
+
+def _moved(
+    small: torch.Tensor, around: torch.Tensor, eyes: torch.Tensor, window: tuple[int, int], jitter: int
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Overviews (B, 3, S, S), eye windows (B, 2, 3, *window) and eyes (B, 2, 2) of pictures that are turned in their
+    plane, smaller or larger, and whose windows are cut up to `jitter` pixels beside the eyes."""
+    n, device = len(small), small.device
+    angle = np.deg2rad(TURN) * (2.0 * torch.rand(n, device=device) - 1.0)
+    size = 1.0 + SCALE * (2.0 * torch.rand(n, device=device) - 1.0)
+    cos, sin = angle.cos(), angle.sin()
+    turn = torch.stack([cos, -sin, sin, cos], dim=-1).reshape(n, 2, 2) * size[:, None, None]
+    back = turn.inverse()
+    none = torch.zeros(n, 2, 1, device=device)
+    grid = F.affine_grid(torch.cat([back, none], dim=2), list(small.shape), align_corners=False)
+    small = F.grid_sample(small, grid, align_corners=False)
+    half = around.new_tensor([around.shape[-1] / 2.0, around.shape[-2] / 2.0])
+    share = around.new_tensor([window[1] / 2.0, window[0] / 2.0])
+    per_window = (back * share / half[:, None]).repeat_interleave(2, dim=0)
+    shift = (2.0 * torch.rand(2 * n, 2, 1, device=device) - 1.0) * jitter / half[:, None]
+    shape = [2 * n, 3, *window]
+    grid = F.affine_grid(torch.cat([per_window, shift], dim=2), shape, align_corners=False)
+    windows = F.grid_sample(around.flatten(0, 1), grid, padding_mode="border", align_corners=False)
+    return small, windows.reshape(n, 2, 3, *window), eyes @ turn.transpose(1, 2)

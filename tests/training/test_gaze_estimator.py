@@ -8,6 +8,7 @@ import torch
 from safetensors.torch import save_file
 
 from gazenerf.errors import UserError
+from gazenerf.training import gaze_training
 from gazenerf.training.gaze_estimator import (
     BUNDLED,
     GazeEstimator,
@@ -31,6 +32,35 @@ def test_the_targets_point_at_the_eyes(toy_data):
     np.testing.assert_allclose((toy_data.eyes[0, 0].numpy() + 1.0) * 32.0, left, atol=3.0)
     np.testing.assert_allclose(toy_data.gaze[0], captures[0].gaze.label)
     assert toy_data.images.shape[1:] == (3, 512, 512)
+
+
+def test_turned_pictures_show_the_eyes_where_they_are_said_to_be() -> None:
+    torch.manual_seed(0)
+    side, margin, window, count = 96, 10, (64, 96), 16
+    eyes = torch.tensor([[0.3, -0.2], [-0.35, -0.1]]).expand(count, -1, -1)
+    x = (torch.arange(side) + 0.5) * 2.0 / side - 1.0
+
+    def dot(places: torch.Tensor) -> torch.Tensor:
+        away = (x - places[..., :1]).square()[..., None, :] + (x - places[..., 1:]).square()[..., None]
+        return (-away / 0.003).exp()
+
+    small = dot(eyes).sum(dim=1)[:, None].expand(-1, 3, -1, -1)
+    rows, columns = window[0] + 2 * margin, window[1] + 2 * margin
+    across = (torch.arange(columns) - columns / 2.0 + 0.5).abs()
+    bar = ((torch.arange(rows) - rows / 2.0 + 0.5)[:, None].abs() < 2.0) & (across < 20.0)
+    around = bar.float().expand(count, 2, 3, rows, columns)
+    pictures, windows, found = gaze_training._moved(small, around, eyes, window, margin)
+    np.testing.assert_allclose(pictures[:, 0], dot(found).sum(dim=1), atol=0.08)
+    turn = torch.atan2(*(found[:, 0] - found[:, 1]).flip(1).T) - torch.atan2(torch.tensor(-0.1), torch.tensor(0.65))
+    assert turn.abs().max() > np.deg2rad(3.0) and turn.abs().max() < np.deg2rad(gaze_training.TURN)
+    assert windows.shape == (count, 2, 3, *window)
+    for number in range(count):
+        for place in windows[number, :, 0]:
+            at = (place > 0.5).nonzero().double()
+            middle = at.mean(dim=0) + 0.5 - torch.tensor(window) / 2.0
+            assert middle.abs().max() < margin + 1.5
+            direction = torch.linalg.eigh((at - at.mean(dim=0)).T @ (at - at.mean(dim=0)))[1][:, 1]
+            assert torch.atan(direction[0] / direction[1]).item() == pytest.approx(float(turn[number]), abs=0.02)
 
 
 def test_training_lowers_the_loss_and_resumes(toy_data, tmp_path):
