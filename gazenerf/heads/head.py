@@ -111,6 +111,7 @@ class Head:
         self.precision, self.dtype = precision, product_dtype(precision, self.device)
         self.chunk = points_at_once(self.device)
         self.metres_per_unit, self.weights_hash = config.metres_per_unit, field.weights_hash
+        self._hasty = False
         if like is not None and like.subject is subject:
             self._person = like._person
         else:
@@ -172,14 +173,24 @@ class Head:
         backend = self.painter.backend
         return Head(self.field, self.subject, sampler=sampler, precision=self.precision, upsampler=backend, like=self)
 
+    def in_haste(self) -> Head:
+        """The head for coarse pictures that are wanted at once, while codes change: sampled evenly, which needs no
+        preparation, and with hair as a like head had it, where that is at hand; see `Person.hair_at_hand`."""
+        return self._like(self.with_sampler("slabs"), _hasty=True)
+
     def without_highlights(self) -> Head:
         """The same head with eyes that mirror no light, for textures: a highlight stays where the camera sees it, and
         does not turn with a mesh. What was found for this head serves that one; itself if its eyes mirror nothing."""
         detail = self.eye_detail
         if detail is None or not detail.mirrors:
             return self
-        other = copy.copy(self)
-        other.__dict__["eye_detail"] = replace(detail, mirrors=False)
+        return self._like(self, eye_detail=replace(detail, mirrors=False))
+
+    @staticmethod
+    def _like(head: Head, **changes: object) -> Head:
+        """A head that shares what was found for another one, and differs in some attributes."""
+        other = copy.copy(head)
+        vars(other).update(changes)
         other.frames = FrameBatches(other, draw_guided)
         return other
 
@@ -269,7 +280,9 @@ class Head:
     @cached_property
     def hair(self) -> HairVolume | None:
         """The subject's hair; None where it has none, or the field cannot take any."""
-        found = self._person.hair if takes_hair(self.field.config) else None
+        if not takes_hair(self.field.config):
+            return None
+        found = self._person.hair_at_hand if self._hasty else self._person.hair
         return None if found is None else found.to(self.device)
 
     @cached_property

@@ -6,11 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from gazenerf.checkpoints import load_field
 from gazenerf.field.model import TwoStreamField
 from gazenerf.geometry import Camera, Gaze
+from gazenerf.head_model.interface import HeadMesh
 from gazenerf.heads import Head
+from gazenerf.heads import person as person_module
+from gazenerf.heads.hair import hair_volume
 from gazenerf.heads.person import Person
 from gazenerf.subjects import Codes, Subject, load_subject
 
@@ -93,3 +97,31 @@ def test_a_head_like_another_draws_the_same_picture(field: TwoStreamField, jana:
 )
 def test_of_people_of_other_head_models_nothing_is_known(codes: Codes) -> None:
     assert all(getattr(Person(codes, 0.0), name) is None for name in THINGS)
+
+
+def test_in_haste_hair_is_as_a_like_head_had_it_unless_the_cut_changes(
+    field: TwoStreamField, jana: Subject, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    codes, camera = jana.codes, Camera.orbit(0.3, size=64)
+    expression, hair = codes.expression.copy(), codes.hair.copy()
+    expression[3] += 0.4
+    hair[0] *= 0.5
+    known = Head(field, jana)
+    assert known.hair is not None
+    counted: list[HeadMesh] = []
+    monkeypatch.setattr(person_module, "hair_volume", lambda head, jaw: counted.append(head) or hair_volume(head, jaw))
+    smiling, shorn = (
+        Head(field, replace(jana, codes=changed), like=known)
+        for changed in (replace(codes, expression=expression), replace(codes, hair=hair))
+    )
+    quick = smiling.in_haste()
+    assert quick.sampler == "slabs" and quick.hair is not None and not counted
+    assert all(one is other for one, other in zip(quick.hair, known.hair, strict=True))
+    coarse = quick.at(Gaze()).render(camera).image
+    assert smiling.hair is not None and len(counted) == 1
+    assert not torch.equal(smiling.hair.values, known.hair.values), "a picture that stays has its own hair"
+    assert np.abs(coarse - smiling.with_sampler("slabs").at(Gaze()).render(camera).image).mean() < 2e-3
+    short = shorn.in_haste().hair
+    assert short is not None and len(counted) == 2 and short.values.shape != known.hair.values.shape
+    alone = Head(field, replace(jana, codes=replace(codes, expression=expression))).in_haste()
+    assert alone.hair is not None and len(counted) == 3

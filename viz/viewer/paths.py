@@ -51,7 +51,7 @@ class Drawer:
     @classmethod
     def unprepared(cls, head: HeadField) -> Drawer:
         """What draws a head of which nothing is known: coarse pictures, sampled evenly, which need no preparation."""
-        quick = head.with_sampler("slabs") if isinstance(head, Head) else head
+        quick = head.in_haste() if isinstance(head, Head) else head
         return cls(head, quick, False, "sampled evenly; looking for the surface")
 
 
