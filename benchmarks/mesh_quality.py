@@ -2,12 +2,12 @@
 
     python -m benchmarks.mesh_quality --subject noa --out quality.json
 
-Distances and normals are against the subject's head model within the face crop (the NoW benchmark's ball), over
-points spread evenly on the mesh. What is missing, lost or not rendered is against the field's own depth
-(`gazenerf.export.surface.coverage`). Normals are those that are written; the first row also has those of the
-density's gradient, which were written up to version 0.2. Seconds are the processor's, all threads together, without
-colours. The last row of distances is of the rendered depth itself: what a mesh would reach that follows the pictures
-everywhere. `--pictures DIR` also writes each mesh under one hard light.
+Distances and normals are against the subject's head model without its eyes within the face crop (the NoW benchmark's
+ball), over points spread evenly on the mesh: an open mouth is a fifth of them. What is missing, lost or not rendered is
+against the field's own depth (`gazenerf.export.surface.coverage`). Normals are those that are written; the first row
+also has those of the density's gradient, which were written up to version 0.2. Seconds are the processor's, all threads
+together, without colours. The last row of distances is of the rendered depth itself: what a mesh would reach that
+follows the pictures everywhere. `--pictures DIR` also writes each mesh under one hard light.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from gazenerf.export.surface.coverage import RenderedDepth
 from gazenerf.export.surface.known_surface import with_known_surface
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model import ReferenceHead
-from gazenerf.head_model.interface import FACE, HeadMesh
+from gazenerf.head_model.interface import NOT_EYES, HeadMesh
 from gazenerf.heads.interface import BoundField
 from gazenerf.heads.normals import TETRAHEDRON, density_gradient
 from gazenerf.loading import load
@@ -65,13 +65,13 @@ class Reference:
         crop = face_crop(head)
         assert crop is not None, "the head model has no landmarks"
         self.crop: FaceCrop = crop
-        self._normals, self._faces = head.normals, head.part_faces(FACE)
+        self._normals, self._faces = head.normals, head.part_faces(*NOT_EYES)
         scene = ray_scene(trimesh.Trimesh(head.vertices, self._faces, process=False))
         assert scene is not None, "this needs open3d"
         self._scene = scene
 
     def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Nearest points (N, 3) on the face and unit normals (N, 3) there, of points (N, 3)."""
+        """Nearest points (N, 3) on skin, hair or the mouth's inside and unit normals (N, 3) there, of points (N, 3)."""
         found = self._scene.compute_closest_points(np.ascontiguousarray(points, np.float32))
         u, v = found["primitive_uvs"].numpy().T
         faces = self._faces[found["primitive_ids"].numpy()]
