@@ -31,6 +31,10 @@ STILL = 0.3
 WHILE_BAKING = 0.5
 """Seconds that a still picture may take while a faster path is on its way."""
 
+LEAST_WHILE_BAKING = 192
+"""Pixels of the shorter side that such a picture has at least, once the surface is known: smaller ones show no eyes,
+and a bake takes several times as long."""
+
 PLAYED_PERIOD = 1.0 / 25.0
 """Seconds between pictures of eyes that move on their own, at least."""
 
@@ -130,13 +134,13 @@ class Visit:
             self._change(moving=True)
 
     def improve(self) -> None:
-        """A better path was found: the full picture is due, or a better coarse one where the path is not the last."""
+        """A better path was found: the full picture is due, or a better still one where the path is not the last."""
         final = self._paths.drawer(self._scene.state.subject).final
         with self._condition:
             self._epoch += 1
             self._full = self._full_begun = 0
             if not final:
-                self._quick = self._better = 0
+                self._better = 0
             self._condition.notify_all()
 
     @property
@@ -248,7 +252,11 @@ class Visit:
             head, size, pace = drawer.head, full_size(drawer.head), None
         else:
             head, pace = drawer.quick, self._pace_of(drawer)
-            size = pace.size_for(WHILE_BAKING) if self._better == self._wanted else pace.size
+            size = pace.size
+            if self._better == self._wanted:
+                size = pace.size_for(WHILE_BAKING)
+                if drawer.quick is drawer.head:  # by its surface, for which the pictures before it were not a measure
+                    size = max(size, min(LEAST_WHILE_BAKING, pace.largest))
         camera = task.viewpoint.camera(size, multiple_of(head))
         gaze = gaze_of(state, drawer.head, camera, time.monotonic())
         started = time.perf_counter()

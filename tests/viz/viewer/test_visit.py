@@ -12,12 +12,13 @@ from gazenerf.heads.baked import BakedHead
 from gazenerf.heads.choose import choose_path
 from gazenerf.subjects import load_subject
 from gazenerf.viz.pictures.colormaps import to_uint8
+from gazenerf.viz.viewer import paths as paths_module
 from gazenerf.viz.viewer import visit as visit_module
 from gazenerf.viz.viewer.field_facts import USUAL_SIZE
 from gazenerf.viz.viewer.gazes import GazeChoice
 from gazenerf.viz.viewer.paths import Paths, Unwanted
 from gazenerf.viz.viewer.scene import Scene, SceneState
-from gazenerf.viz.viewer.visit import Picture, Visit
+from gazenerf.viz.viewer.visit import LEAST_WHILE_BAKING, Picture, Visit
 from tests.viz.viewer.doubles import FlatHead, wait_until
 from tests.viz.viewer.test_viewpoint import viewpoint
 
@@ -269,6 +270,22 @@ def test_another_person_is_drawn_evenly_at_once_and_baked_later(small):
     assert isinstance(small.paths.drawer(ben).head, BakedHead)
     small.scene.change(subject=small.head.subject)
     assert small.paths.drawer(small.head.subject).final, "the bakes of the last few people are kept"
+
+
+def test_while_a_bake_is_made_what_is_still_is_drawn_large_enough_to_see(small, monkeypatch):
+    release, path = threading.Event(), paths_module._path
+    monkeypatch.setattr(paths_module, "_path", lambda *given: release.wait(60.0) and path(*given))
+    watched = Watched(small.head)
+    visit, shown, _ = watched.visit()
+    visit.look(viewpoint(640, 480))
+    try:
+        wait_until(lambda: bool(shown) and shown[-1].camera.height >= LEAST_WHILE_BAKING, 60.0)
+        assert "baking" in shown[-1].note and not shown[-1].full
+        expected = to_uint8(small.head.at(Gaze()).render(shown[-1].camera).image)
+        assert np.array_equal(shown[-1].pixels, expected)
+    finally:
+        release.set()
+        watched.close()
 
 
 def test_a_bake_that_is_wanted_no_more_ends_at_its_next_step(small):
