@@ -31,7 +31,7 @@ from gazenerf.viz.viewer.people import code_sliders, moved
 from gazenerf.viz.viewer.scene import Scene, SceneState
 from gazenerf.viz.viewer.server import serving
 from gazenerf.viz.viewer.viewpoint import Viewpoint
-from gazenerf.viz.viewer.visit import Picture, Visit
+from gazenerf.viz.viewer.visit import LEAST_WHILE_BAKING, Picture, Visit
 
 REPORTED = 60.0
 """Positions a second."""
@@ -116,7 +116,7 @@ def hold_size(visit: Visit, size: int) -> None:
 
 
 def move_slider(watched: Watched) -> dict[str, float]:
-    """Seconds until the first picture and until the full picture of a changed person."""
+    """Seconds until the first picture of a changed person, the first that is large enough to see, and the full one."""
     visit = watched.arrive()
     visit.look(viewpoint(0.0))
     watched.wait_for_full(visit)
@@ -126,9 +126,12 @@ def move_slider(watched: Watched) -> dict[str, float]:
     started = time.perf_counter()
     watched.scene.change(subject=moved(subject, {slider: slider.value(subject.codes) + 0.5}))
     watched.wait_for_full(visit)
+    last = watched.shown[-1][0]
+    seen = next((at for at, picture in watched.shown if picture.camera.height >= LEAST_WHILE_BAKING), last)
     return {
         "first_picture_seconds": watched.shown[0][0] - started,
-        "full_picture_seconds": watched.shown[-1][0] - started,
+        "large_picture_seconds": seen - started,
+        "full_picture_seconds": last - started,
     }
 
 
@@ -199,6 +202,7 @@ def main() -> None:
     """Measure, print, write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--checkpoint", help="default: the bundled one")
+    parser.add_argument("--subject", default="noa")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--seconds", type=float, default=6.0, help="of each drag")
     parser.add_argument("--visits", type=int, default=50)
@@ -206,7 +210,7 @@ def main() -> None:
     parser.add_argument("--reconnects", type=int, help="only open and close so many tabs; playwright and Chromium")
     parser.add_argument("--out", type=Path, help="JSON file")
     args = parser.parse_args()
-    head = gazenerf.load("noa", args.checkpoint, args.device)
+    head = gazenerf.load(args.subject, args.checkpoint, args.device)
     if args.reconnects is None:
         measured = measure(head, args.seconds, args.visits, args.frames)
     else:
