@@ -21,7 +21,7 @@ from torch import nn
 from gazenerf.field.config import FieldConfig
 from gazenerf.field.encoding import positional_encoding
 from gazenerf.field.hair import HairVolume
-from gazenerf.field.lids import Lids
+from gazenerf.field.lids import Lids, ShutLids
 
 LAYERS, SKIP_AFTER = 6, 3
 """Hidden layers, and after how many of them points and codes enter again."""
@@ -132,7 +132,7 @@ class TemplateMove(nn.Module):
 class DistanceCondition(NamedTuple):
     """Codes and gaze of B images: biases (B, W) of the layers that they enter, and of the move (B, 3, W').
 
-    `hair` and `lids` are those of all of them, None where there are none.
+    `hair`, `lids` and `shut` lids are those of all of them, None where there are none.
     """
 
     first: torch.Tensor
@@ -140,6 +140,7 @@ class DistanceCondition(NamedTuple):
     move: torch.Tensor
     hair: HairVolume | None = None
     lids: Lids | None = None
+    shut: ShutLids | None = None
 
 
 class Placed(NamedTuple):
@@ -201,7 +202,8 @@ class DistanceNetwork(nn.Module):
     def places(self, points: torch.Tensor, condition: DistanceCondition) -> torch.Tensor:
         """Where points (B, N, 3) lie on the template, world units."""
         with torch.autocast(points.device.type, enabled=False):
-            return self.move(points.float(), condition.move)
+            places = self.move(points.float(), condition.move)
+            return places if condition.shut is None else condition.shut.placed(places, points.float())
 
     def forward(self, points: torch.Tensor, condition: DistanceCondition) -> torch.Tensor:
         """Distances (B, ...) at points (B, ..., 3), world units, negative inside; float32 whatever autocast says.
@@ -213,11 +215,14 @@ class DistanceNetwork(nn.Module):
 
     def placed(self, points: torch.Tensor, condition: DistanceCondition) -> Placed:
         """Distances at points (B, N, 3), and their places on the template."""
-        places, hair = self.places(points, condition), condition.hair
+        hair, shut = condition.hair, condition.shut
         with torch.autocast(points.device.type, enabled=False):
+            places = self.move(points.float(), condition.move)
             distance = self.at(places, condition)
+            if shut is not None:
+                places = shut.placed(places, points.float())
             if condition.lids is not None:
-                distance = condition.lids.over(distance, points.float(), places)
+                distance = condition.lids.over(distance, points.float(), places, shut)
             if hair is None:
                 return Placed(distance, places, places)
             of_hair = hair.distance(points)

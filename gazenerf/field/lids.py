@@ -20,11 +20,56 @@ OVER, UNDER = 0.008, 0.02
 """World units before an eyeball's surface where a lid is at least (the cornea bulges by 0.005), and behind it where
 skin within an opening is at most."""
 
+SHUT_OVER = 0.006
+"""So much further before it a lid is that is shut: an iris would shine through a thin one."""
+
 BORDER = (-0.005, 0.01)
 """Distances from the border of an opening, world units, below which a place is a lid's and above which it is not."""
 
 REACH = 1.7
 """Radii from an eyeball's centre within which lids are looked for."""
+
+AROUND = (1.8, 2.4)
+"""Radii from an eyeball's centre within which skin about shut eyes is placed anew, and from which on none is."""
+
+
+class ShutLids(NamedTuple):
+    """Where the skin about eyes that an expression shuts lies on the template.
+
+    A network that learned from open eyes places a shut lid into the opening, where features are an eye's.
+
+    Attributes:
+        centres: (2, 3) of this person's eyeballs, the subject's left first, world units.
+        shares: (2,) how much of the places counts, 0 to 1: as much as an eye is shut.
+        places: (2, 3, N, N, N) on the template, world units, along z, y, x of cubes about the eyeballs' centres; their
+            sides are twice the second of `AROUND` in radii.
+        radius: () of the eyeballs, world units.
+    """
+
+    centres: torch.Tensor
+    shares: torch.Tensor
+    places: torch.Tensor
+    radius: torch.Tensor
+
+    def to(self, device: torch.device | str) -> ShutLids:
+        """The same on a device."""
+        return ShutLids(*(value.to(device) for value in self))
+
+    def placed(self, places: torch.Tensor, points: torch.Tensor) -> torch.Tensor:
+        """Places (B, N, 3) on the template of points (B, N, 3), those about shut eyes instead of a network's."""
+        away, eye = (points[..., None, :] - self.centres).norm(dim=-1).min(dim=-1)
+        full, none = (radii * self.radius for radii in AROUND)
+        near = ((away < none) & (self.shares[eye] > 0.0)).nonzero(as_tuple=True)
+        if not len(near[0]):
+            return places
+        eye = eye[near]
+        local = ((points[near] - self.centres[eye]) / none).expand(2, 1, 1, -1, 3)
+        found = F.grid_sample(self.places, local, mode="bilinear", padding_mode="border", align_corners=True)[
+            :, :, 0, 0
+        ]
+        own = found.permute(0, 2, 1).gather(0, eye[None, :, None].expand(1, -1, 3))[0]
+        share = self.shares[eye] * ((none - away[near]) / (none - full)).clamp(0.0, 1.0)
+        return places.index_put(near, torch.lerp(places[near], own, share[:, None]))
 
 
 class Lids(NamedTuple):
@@ -50,13 +95,16 @@ class Lids(NamedTuple):
         """The same on a device."""
         return Lids(*(value.to(device) for value in self))
 
-    def over(self, distance: torch.Tensor, points: torch.Tensor, places: torch.Tensor) -> torch.Tensor:
+    def over(
+        self, distance: torch.Tensor, points: torch.Tensor, places: torch.Tensor, shut: ShutLids | None = None
+    ) -> torch.Tensor:
         """Signed distances from a face whose lids lie over its eyeballs, and whose openings are open.
 
         Args:
             distance: (B, N) as a network gives them, world units.
             points: (B, N, 3).
             places: (B, N, 3) of the points on the template.
+            shut: Whose eyes are shut; None where all are open.
         """
         away, eye = (points[..., None, :] - self.centres).norm(dim=-1).min(dim=-1)
         near = (away < REACH * self.radius).nonzero(as_tuple=True)
@@ -65,7 +113,8 @@ class Lids(NamedTuple):
         eye, outside, old = eye[near], away[near] - self.radius, distance[near]
         local = places[near] - self.template_centres[eye]
         border, own = _border(self.openings, local, eye), _border(self.own, points[near] - self.centres[eye], eye)
-        covered = torch.minimum(old, outside - OVER)
+        over = OVER if shut is None else OVER + SHUT_OVER * shut.shares[eye]
+        covered = torch.minimum(old, outside - over)
         opened = torch.maximum(old, outside + UNDER)
         found = torch.where(border < BORDER[0], covered, torch.where((border > BORDER[1]) & (own > 0.0), opened, old))
         return distance.index_put(near, torch.where(local[:, 2] > 0.0, found, old))

@@ -19,7 +19,7 @@ from gazenerf.devices import choose_device, is_out_of_memory, points_at_once, pr
 from gazenerf.errors import UserError
 from gazenerf.field.detail import SurfaceDetail
 from gazenerf.field.hair import HairVolume
-from gazenerf.field.lids import Lids
+from gazenerf.field.lids import Lids, ShutLids
 from gazenerf.field.model import TwoStreamField
 from gazenerf.field.streams import StreamCondition
 from gazenerf.geometry import Gaze
@@ -274,7 +274,8 @@ class Head:
         face = "face" if "face" in found else "head"
         known = found[face].distance
         if known is not None:
-            found[face] = replace(found[face], distance=known._replace(hair=self.hair, lids=self.lids))
+            added = known._replace(hair=self.hair, lids=self.lids, shut=self.shut_lids)
+            found[face] = replace(found[face], distance=added)
         return label, found
 
     @cached_property
@@ -289,6 +290,13 @@ class Head:
     def lids(self) -> Lids | None:
         """The subject's lids; None where they are unknown, or the field has no distances to lay them over."""
         found = self._person.lids if takes_hair(self.field.config) else None
+        return None if found is None else found.to(self.device)
+
+    @cached_property
+    def shut_lids(self) -> ShutLids | None:
+        """The skin about the subject's shut eyes; None where they are open, or the field has no features on the
+        template."""
+        found = self._person.shut_lids if takes_hair(self.field.config) else None
         return None if found is None else found.to(self.device)
 
     @property

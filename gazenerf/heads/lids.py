@@ -9,12 +9,15 @@ import numpy as np
 import torch
 
 from gazenerf.data.surface_points import template_of
-from gazenerf.field.lids import EXTENT, Lids
+from gazenerf.field.lids import AROUND as ANEW
+from gazenerf.field.lids import EXTENT, Lids, ShutLids
 from gazenerf.geometry.gaze import outward
 from gazenerf.head_model import load_head_model
 from gazenerf.head_model.interface import FACE, HeadMesh
+from gazenerf.head_model.lids import smoothstep
 from gazenerf.head_model.model import EYE_RADIUS
-from gazenerf.head_model.ray_scenes import ray_scene, tensor
+from gazenerf.head_model.ray_scenes import interpolated, ray_scene, tensor
+from gazenerf.subjects import Codes
 
 SIZE = 161
 """Rows and columns of a map of an opening: a degree a cell, 0.2 mm on an eyeball."""
@@ -22,6 +25,41 @@ SIZE = 161
 WITHIN, FARTHEST, AROUND = 0.97, 1.0, 4.0
 """Radii from an eyeball's centre where a ray that looks for a lid begins, how many it goes on, and within how many all
 skin lies that it can meet: a scene of the whole head takes most of the time."""
+
+
+SHUT = (0.1, 0.4)
+"""Coefficients of eyeBlinkLeft and eyeBlinkRight at which an eye begins to count as shut, and does so in full."""
+
+CELLS = 41
+"""Points along a side of the cubes in which places about shut eyes are kept: 1.4 mm apart."""
+
+
+def shut_lids(codes: Codes, head: HeadMesh, jaw: float) -> ShutLids | None:
+    """Where the skin about a person's shut eyes lies on the template; None where both are open.
+
+    Args:
+        codes: Of the person.
+        head: With these codes, of the bundled head model, with the eyes straight ahead.
+        jaw: How far the mouth of the field's template is open.
+    """
+    model = load_head_model()
+    blinks = (model.expression_names.index(f"eyeBlink{side}") for side in ("Left", "Right"))
+    shares = smoothstep(*SHUT, np.array([codes.expression[blink] for blink in blinks]))
+    if not shares.any():
+        return None
+    skin, reach = head.part_faces(FACE), ANEW[1] * EYE_RADIUS
+    near = np.linalg.norm(head.vertices[:, None] - head.eye_centres, axis=-1).min(axis=1) < AROUND * EYE_RADIUS
+    faces = skin[near[skin].any(axis=1)]
+    scene, template = ray_scene(head.vertices, faces), template_of(model, jaw)
+    side = np.linspace(-reach, reach, CELLS)
+    cube = np.stack(np.meshgrid(side, side, side, indexing="ij"), axis=-1)[..., ::-1]
+    found = [
+        interpolated(template.vertices, faces, scene.compute_closest_points(tensor(cube.reshape(-1, 3) + centre)))
+        for centre in np.asarray(head.eye_centres)
+    ]
+    places = np.stack(found).reshape(2, CELLS, CELLS, CELLS, 3).transpose(0, 4, 1, 2, 3)
+    arrays = head.eye_centres, shares, places, np.array(EYE_RADIUS)
+    return ShutLids(*(torch.from_numpy(np.array(array, np.float32)) for array in arrays))
 
 
 def lids(head: HeadMesh, jaw: float) -> Lids:

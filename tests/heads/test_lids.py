@@ -10,15 +10,18 @@ import torch
 from scipy.spatial import KDTree
 
 from gazenerf.checkpoints import load_field
+from gazenerf.data.rasterizer import Rasterizer
 from gazenerf.data.surface_points import template_of
-from gazenerf.field.lids import BORDER, OVER, UNDER, Lids, _border
-from gazenerf.geometry import Gaze
+from gazenerf.errors import UserError
+from gazenerf.field.lids import AROUND, BORDER, OVER, UNDER, Lids, _border
+from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model import FACE, load_head_model
 from gazenerf.head_model.model import EYE_RADIUS
 from gazenerf.head_model.ray_scenes import ray_scene, tensor
 from gazenerf.head_model.sampling import sample_person
 from gazenerf.heads import Head
-from gazenerf.heads.lids import lids
+from gazenerf.heads.lids import lids, shut_lids
+from gazenerf.image_metrics import psnr
 from gazenerf.subjects import Subject, load_subject
 
 CONTOURS = (range(42, 48), range(36, 42))
@@ -105,13 +108,68 @@ def test_strangers_have_no_skin_on_their_irises_and_no_eyeballs_through_their_li
     assert wrong_places(head, gaze) <= 0.1 * before
 
 
-@pytest.mark.parametrize("shut", [0.5, 1.0])
-def test_lids_that_an_expression_shuts_stay_shut(shut: float) -> None:
+def blinking(amount: float) -> Subject:
     jana, names = load_subject("jana"), load_head_model().expression_names
     expression = jana.codes.expression.copy()
-    expression[[names.index(name) for name in ("eyeBlinkLeft", "eyeBlinkRight")]] = shut
-    subject = replace(jana, codes=replace(jana.codes, expression=expression))
-    head, other = (Head(load_field("portrait-sdf"), subject) for _ in range(2))
+    expression[[names.index(name) for name in ("eyeBlinkLeft", "eyeBlinkRight")]] = amount
+    return replace(jana, codes=replace(jana.codes, expression=expression))
+
+
+@pytest.mark.parametrize("shut", [0.5, 1.0])
+def test_lids_that_an_expression_shuts_stay_shut(shut: float) -> None:
+    head, other = (Head(load_field("portrait-sdf"), blinking(shut)) for _ in range(2))
     for pitch in (0.0, -15.0):
         gaze = Gaze.from_degrees(pitch, 10.0)
         assert wrong_places(head, gaze) <= wrong_places(without_lids(other), gaze) + 10
+
+
+def test_skin_about_shut_eyes_is_placed_where_the_head_model_has_it() -> None:
+    subject, template = blinking(1.0), template_of(load_head_model())
+    mesh = load_head_model().mesh(subject.codes, Gaze())
+    shut = shut_lids(subject.codes, mesh, 0.0)
+    assert shut is not None and shut.shares.tolist() == [1.0, 1.0]
+    skin = np.unique(mesh.part_faces(FACE))
+    away = np.linalg.norm(mesh.vertices[skin][:, None] - mesh.eye_centres, axis=-1).min(axis=1) / EYE_RADIUS
+    ahead = mesh.vertices[skin][:, 2] > mesh.eye_centres[0][2] + 0.5 * EYE_RADIUS
+    outer = (mesh.normals[skin] * (mesh.vertices[skin] - mesh.eye_centres.mean(axis=0))).sum(axis=1) > 0.0
+    near, far = skin[(away < 1.3) & ahead & outer], skin[away > AROUND[1]][::50]
+    points, wrong = (torch.from_numpy(mesh.vertices[some].astype(np.float32))[None] for some in (near, far))
+    found = shut.placed(torch.zeros_like(points), points)[0].numpy()
+    open_eyed = Head(load_field("portrait-sdf"), subject)
+    open_eyed.__dict__["shut_lids"] = None
+    bound = open_eyed.at(Gaze())
+    network = bound.field.streams["face"].places(points, bound.conditions["face"])[0].detach().numpy()
+    off, before = (np.median(np.linalg.norm(some - template.vertices[near], axis=1)) for some in (found, network))
+    assert off < 0.01 and off < 0.5 * before, (off, before)
+    untouched = torch.zeros_like(wrong)
+    assert shut.placed(untouched, wrong) is untouched
+    half = replace(subject, codes=replace(subject.codes, expression=0.25 * subject.codes.expression))
+    part = shut_lids(half.codes, mesh, 0.0)
+    assert part is not None and 0.3 < float(part.shares[0]) < 0.7
+    partly = part.placed(torch.zeros_like(points), points)[0].numpy()
+    np.testing.assert_allclose(partly, float(part.shares[0]) * found, atol=1e-5)
+
+
+def test_open_eyes_and_fields_without_features_on_the_template_are_placed_by_the_network() -> None:
+    head = Head(load_field("portrait-sdf"), blinking(0.05))
+    assert head.lids is not None and head.shut_lids is None
+    assert Head(load_field("portrait"), blinking(1.0)).shut_lids is None
+
+
+@pytest.mark.parametrize(("amount", "nearer"), [(0.5, 1.0), (1.0, 1.0)])
+def test_half_shut_and_shut_eyes_look_more_like_the_head_models(amount: float, nearer: float) -> None:
+    subject, camera, gaze = blinking(amount), Camera.orbit(0.1, size=256), Gaze.from_degrees(0.0, 8.0)
+    mesh = load_head_model().mesh(subject.codes, gaze)
+    try:
+        with Rasterizer((256, 256), 2) as rasterizer:
+            truth = rasterizer.render_lit(mesh, subject.codes.illumination, camera).image / 255.0
+    except UserError as error:
+        pytest.skip(str(error))
+    head, other = (Head(load_field("portrait-sdf"), subject) for _ in range(2))
+    other.__dict__["shut_lids"] = None
+    about = camera.project(mesh.eye_centres)[0].mean(axis=0).astype(int)
+    rows, columns = slice(about[1] - 18, about[1] + 18), slice(about[0] - 55, about[0] + 55)
+    after, before = (
+        psnr(one.at(gaze).render(camera).image[rows, columns], truth[rows, columns]) for one in (head, other)
+    )
+    assert after > before + nearer, (before, after)
