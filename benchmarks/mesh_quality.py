@@ -35,6 +35,7 @@ from gazenerf.export.surface.known_surface import with_known_surface
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model import ReferenceHead
 from gazenerf.head_model.interface import NOT_EYES, HeadMesh
+from gazenerf.head_model.ray_scenes import barycentric
 from gazenerf.heads.interface import BoundField
 from gazenerf.heads.normals import TETRAHEDRON, density_gradient
 from gazenerf.loading import load
@@ -73,9 +74,8 @@ class Reference:
     def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Nearest points (N, 3) on skin, hair or the mouth's inside and unit normals (N, 3) there, of points (N, 3)."""
         found = self._scene.compute_closest_points(np.ascontiguousarray(points, np.float32))
-        u, v = found["primitive_uvs"].numpy().T
         faces = self._faces[found["primitive_ids"].numpy()]
-        return found["points"].numpy(), mixed(self._normals, faces, np.column_stack([1.0 - u - v, u, v]))
+        return found["points"].numpy(), mixed(self._normals, faces, barycentric(found))
 
     def distances(self, points: np.ndarray, mm: float) -> dict[str, float]:
         """How far points (N, 3) in the crop are from the face; `mm` is millimetres per unit, outside counts as more."""
@@ -148,9 +148,8 @@ def hard_light(mesh: trimesh.Trimesh, normals: np.ndarray, size: int = 700) -> I
     rays = np.concatenate(camera.rays(), axis=-1).astype(np.float32).reshape(-1, 6)
     found = scene.cast_rays(rays)
     hit = np.isfinite(found["t_hit"].numpy())
-    u, v = found["primitive_uvs"].numpy()[hit].T
     faces = np.asarray(mesh.faces)[found["primitive_ids"].numpy()[hit]]
-    shown = mixed(normals, faces, np.column_stack([1.0 - u - v, u, v]))
+    shown = mixed(normals, faces, barycentric(found, hit))
     picture = np.full(len(rays), 255, np.uint8)
     picture[hit] = 255.0 * np.clip(0.05 + 0.95 * (shown @ LIGHT), 0.0, 1.0) ** (1.0 / 2.2)
     return Image.fromarray(picture.reshape(size, size))

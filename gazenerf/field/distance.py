@@ -21,7 +21,7 @@ from torch import nn
 from gazenerf.field.config import FieldConfig
 from gazenerf.field.encoding import positional_encoding
 from gazenerf.field.hair import HairVolume
-from gazenerf.field.lids import Lids, ShutLids
+from gazenerf.field.lids import Lids
 
 LAYERS, SKIP_AFTER = 6, 3
 """Hidden layers, and after how many of them points and codes enter again."""
@@ -132,7 +132,7 @@ class TemplateMove(nn.Module):
 class DistanceCondition(NamedTuple):
     """Codes and gaze of B images: biases (B, W) of the layers that they enter, and of the move (B, 3, W').
 
-    `hair`, `lids` and `shut` lids are those of all of them, None where there are none.
+    `hair` and `lids` are those of all of them, None where there are none.
     """
 
     first: torch.Tensor
@@ -140,7 +140,6 @@ class DistanceCondition(NamedTuple):
     move: torch.Tensor
     hair: HairVolume | None = None
     lids: Lids | None = None
-    shut: ShutLids | None = None
 
 
 class Placed(NamedTuple):
@@ -203,7 +202,7 @@ class DistanceNetwork(nn.Module):
         """Where points (B, N, 3) lie on the template, world units."""
         with torch.autocast(points.device.type, enabled=False):
             places = self.move(points.float(), condition.move)
-            return places if condition.shut is None else condition.shut.placed(places, points.float())
+            return places if condition.lids is None else condition.lids.placed(places, points.float())
 
     def forward(self, points: torch.Tensor, condition: DistanceCondition) -> torch.Tensor:
         """Distances (B, ...) at points (B, ..., 3), world units, negative inside; float32 whatever autocast says.
@@ -215,14 +214,13 @@ class DistanceNetwork(nn.Module):
 
     def placed(self, points: torch.Tensor, condition: DistanceCondition) -> Placed:
         """Distances at points (B, N, 3), and their places on the template."""
-        hair, shut = condition.hair, condition.shut
+        hair, lids = condition.hair, condition.lids
         with torch.autocast(points.device.type, enabled=False):
             places = self.move(points.float(), condition.move)
             distance = self.at(places, condition)
-            if shut is not None:
-                places = shut.placed(places, points.float())
-            if condition.lids is not None:
-                distance = condition.lids.over(distance, points.float(), places, shut)
+            if lids is not None:
+                places = lids.placed(places, points.float())
+                distance = lids.over(distance, points.float(), places)
             if hair is None:
                 return Placed(distance, places, places)
             of_hair = hair.distance(points)

@@ -29,7 +29,7 @@ BORDER = (-0.005, 0.01)
 REACH = 1.7
 """Radii from an eyeball's centre within which lids are looked for."""
 
-AROUND = (1.8, 2.4)
+PLACED_ANEW = (1.8, 2.4)
 """Radii from an eyeball's centre within which skin about shut eyes is placed anew, and from which on none is."""
 
 
@@ -39,37 +39,17 @@ class ShutLids(NamedTuple):
     A network that learned from open eyes places a shut lid into the opening, where features are an eye's.
 
     Attributes:
-        centres: (2, 3) of this person's eyeballs, the subject's left first, world units.
         shares: (2,) how much of the places counts, 0 to 1: as much as an eye is shut.
         places: (2, 3, N, N, N) on the template, world units, along z, y, x of cubes about the eyeballs' centres; their
-            sides are twice the second of `AROUND` in radii.
-        radius: () of the eyeballs, world units.
+            sides are twice the second of `PLACED_ANEW` in radii.
     """
 
-    centres: torch.Tensor
     shares: torch.Tensor
     places: torch.Tensor
-    radius: torch.Tensor
 
     def to(self, device: torch.device | str) -> ShutLids:
         """The same on a device."""
-        return ShutLids(*(value.to(device) for value in self))
-
-    def placed(self, places: torch.Tensor, points: torch.Tensor) -> torch.Tensor:
-        """Places (B, N, 3) on the template of points (B, N, 3), those about shut eyes instead of a network's."""
-        away, eye = (points[..., None, :] - self.centres).norm(dim=-1).min(dim=-1)
-        full, none = (radii * self.radius for radii in AROUND)
-        near = ((away < none) & (self.shares[eye] > 0.0)).nonzero(as_tuple=True)
-        if not len(near[0]):
-            return places
-        eye = eye[near]
-        local = ((points[near] - self.centres[eye]) / none).expand(2, 1, 1, -1, 3)
-        found = F.grid_sample(self.places, local, mode="bilinear", padding_mode="border", align_corners=True)[
-            :, :, 0, 0
-        ]
-        own = found.permute(0, 2, 1).gather(0, eye[None, :, None].expand(1, -1, 3))[0]
-        share = self.shares[eye] * ((none - away[near]) / (none - full)).clamp(0.0, 1.0)
-        return places.index_put(near, torch.lerp(places[near], own, share[:, None]))
+        return ShutLids(self.shares.to(device), self.places.to(device))
 
 
 class Lids(NamedTuple):
@@ -83,6 +63,7 @@ class Lids(NamedTuple):
             azimuth towards the subject's left, as far as `EXTENT`.
         own: (2, 1, N, N) the same of this person's openings, with the eyes straight ahead.
         radius: () of the eyeballs, world units.
+        shut: Where the skin about eyes that are shut lies; None where both are open.
     """
 
     centres: torch.Tensor
@@ -90,34 +71,54 @@ class Lids(NamedTuple):
     openings: torch.Tensor
     own: torch.Tensor
     radius: torch.Tensor
+    shut: ShutLids | None = None
 
     def to(self, device: torch.device | str) -> Lids:
         """The same on a device."""
-        return Lids(*(value.to(device) for value in self))
+        *parts, shut = self
+        return Lids(*(part.to(device) for part in parts), shut=None if shut is None else shut.to(device))
 
-    def over(
-        self, distance: torch.Tensor, points: torch.Tensor, places: torch.Tensor, shut: ShutLids | None = None
-    ) -> torch.Tensor:
+    def placed(self, places: torch.Tensor, points: torch.Tensor) -> torch.Tensor:
+        """Places (B, N, 3) on the template of points (B, N, 3), those about shut eyes instead of a network's."""
+        if self.shut is None:
+            return places
+        away, eye = self._nearest(points)
+        full, none = (radii * self.radius for radii in PLACED_ANEW)
+        near = ((away < none) & (self.shut.shares[eye] > 0.0)).nonzero(as_tuple=True)
+        if not len(near[0]):
+            return places
+        eye = eye[near]
+        grid = ((points[near] - self.centres[eye]) / none).expand(2, 1, 1, -1, 3)
+        each = F.grid_sample(self.shut.places, grid, mode="bilinear", padding_mode="border", align_corners=True)
+        own = each[:, :, 0, 0].permute(0, 2, 1).gather(0, eye[None, :, None].expand(1, -1, 3))[0]
+        share = self.shut.shares[eye] * ((none - away[near]) / (none - full)).clamp(0.0, 1.0)
+        return places.index_put(near, torch.lerp(places[near], own, share[:, None]))
+
+    def over(self, distance: torch.Tensor, points: torch.Tensor, places: torch.Tensor) -> torch.Tensor:
         """Signed distances from a face whose lids lie over its eyeballs, and whose openings are open.
 
         Args:
             distance: (B, N) as a network gives them, world units.
             points: (B, N, 3).
             places: (B, N, 3) of the points on the template.
-            shut: Whose eyes are shut; None where all are open.
         """
-        away, eye = (points[..., None, :] - self.centres).norm(dim=-1).min(dim=-1)
+        away, eye = self._nearest(points)
         near = (away < REACH * self.radius).nonzero(as_tuple=True)
         if not len(near[0]):
             return distance
         eye, outside, old = eye[near], away[near] - self.radius, distance[near]
         local = places[near] - self.template_centres[eye]
         border, own = _border(self.openings, local, eye), _border(self.own, points[near] - self.centres[eye], eye)
-        over = OVER if shut is None else OVER + SHUT_OVER * shut.shares[eye]
+        over = OVER if self.shut is None else OVER + SHUT_OVER * self.shut.shares[eye]
         covered = torch.minimum(old, outside - over)
         opened = torch.maximum(old, outside + UNDER)
         found = torch.where(border < BORDER[0], covered, torch.where((border > BORDER[1]) & (own > 0.0), opened, old))
         return distance.index_put(near, torch.where(local[:, 2] > 0.0, found, old))
+
+    def _nearest(self, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Distances (B, N) of points (B, N, 3) from the nearer eyeball's centre, and which one (B, N) that is."""
+        away, eye = (points[..., None, :] - self.centres).norm(dim=-1).min(dim=-1)
+        return away, eye
 
 
 def _border(openings: torch.Tensor, local: torch.Tensor, eye: torch.Tensor) -> torch.Tensor:

@@ -19,7 +19,7 @@ from gazenerf.devices import choose_device, is_out_of_memory, points_at_once, pr
 from gazenerf.errors import UserError
 from gazenerf.field.detail import SurfaceDetail
 from gazenerf.field.hair import HairVolume
-from gazenerf.field.lids import Lids, ShutLids
+from gazenerf.field.lids import Lids
 from gazenerf.field.model import TwoStreamField
 from gazenerf.field.streams import StreamCondition
 from gazenerf.geometry import Gaze
@@ -176,7 +176,7 @@ class Head:
     def in_haste(self) -> Head:
         """The head for coarse pictures that are wanted at once, while codes change: sampled evenly, which needs no
         preparation, and with hair as a like head had it, where that is at hand; see `Person.hair_at_hand`."""
-        return self._like(self.with_sampler("slabs"), _hasty=True)
+        return self.with_sampler("slabs")._changed(_hasty=True)
 
     def without_highlights(self) -> Head:
         """The same head with eyes that mirror no light, for textures: a highlight stays where the camera sees it, and
@@ -184,12 +184,11 @@ class Head:
         detail = self.eye_detail
         if detail is None or not detail.mirrors:
             return self
-        return self._like(self, eye_detail=replace(detail, mirrors=False))
+        return self._changed(eye_detail=replace(detail, mirrors=False))
 
-    @staticmethod
-    def _like(head: Head, **changes: object) -> Head:
-        """A head that shares what was found for another one, and differs in some attributes."""
-        other = copy.copy(head)
+    def _changed(self, **changes: object) -> Head:
+        """A head that shares what was found for this one, and differs in some attributes."""
+        other = copy.copy(self)
         vars(other).update(changes)
         other.frames = FrameBatches(other, draw_guided)
         return other
@@ -274,8 +273,7 @@ class Head:
         face = "face" if "face" in found else "head"
         known = found[face].distance
         if known is not None:
-            added = known._replace(hair=self.hair, lids=self.lids, shut=self.shut_lids)
-            found[face] = replace(found[face], distance=added)
+            found[face] = replace(found[face], distance=known._replace(hair=self.hair, lids=self.lids))
         return label, found
 
     @cached_property
@@ -290,13 +288,6 @@ class Head:
     def lids(self) -> Lids | None:
         """The subject's lids; None where they are unknown, or the field has no distances to lay them over."""
         found = self._person.lids if takes_hair(self.field.config) else None
-        return None if found is None else found.to(self.device)
-
-    @cached_property
-    def shut_lids(self) -> ShutLids | None:
-        """The skin about the subject's shut eyes; None where they are open, or the field has no features on the
-        template."""
-        found = self._person.shut_lids if takes_hair(self.field.config) else None
         return None if found is None else found.to(self.device)
 
     @property

@@ -9,14 +9,14 @@ from typing import Any, TypeVar
 import numpy as np
 
 from gazenerf.field.hair import HairVolume
-from gazenerf.field.lids import Lids, ShutLids
+from gazenerf.field.lids import Lids
 from gazenerf.geometry import Gaze
 from gazenerf.head_model import load_head_model
 from gazenerf.head_model.interface import HeadMesh
 from gazenerf.head_model.shading import shade
 from gazenerf.heads.eye_detail import EyeDetail, eye_detail
 from gazenerf.heads.hair import hair_volume
-from gazenerf.heads.lids import lids, shut_lids
+from gazenerf.heads.lids import lids
 from gazenerf.heads.mouth_detail import MouthDetail, MouthScene, mouth_scene
 from gazenerf.subjects import Codes
 
@@ -60,17 +60,8 @@ class Person:
         """The lids."""
         if not self._known:
             return None
-        return self._once("lids", lambda: lids(self._mesh, self._jaw), self.codes.identity, self.codes.expression)
-
-    @property
-    def shut_lids(self) -> ShutLids | None:
-        """The skin about eyes that are shut; None where both are open."""
-        if not self._known:
-            return None
         codes = self.codes
-        return self._once(
-            "shut lids", lambda: shut_lids(codes, self._mesh, self._jaw), codes.identity, codes.expression
-        )
+        return self._once("lids", lambda: lids(codes, self._mesh, self._jaw), codes.identity, codes.expression)
 
     @property
     def eyes(self) -> EyeDetail | None:

@@ -38,7 +38,7 @@ def heads(field) -> dict[str, Head]:
 def test_a_volume_has_the_distances_of_the_head_models_hair(field) -> None:
     model = load_head_model()
     codes = replace(load_subject("noa").codes, hair=cut(crop=0.6, bob=1.0))
-    volume = hair_volume(load_head_model().mesh(codes, Gaze()), field.template_jaw)
+    volume = hair_volume(model.mesh(codes, Gaze()), field.template_jaw)
     assert volume is not None
     mesh = model.mesh(codes, Gaze())
     faces = mesh.part_faces(HAIR)
@@ -53,7 +53,7 @@ def test_a_volume_has_the_distances_of_the_head_models_hair(field) -> None:
 def test_roots_lie_on_the_templates_painted_hair(field) -> None:
     model = load_head_model()
     codes = replace(load_subject("noa").codes, hair=cut(crop=0.4, bob=1.0, beard=1.0))
-    volume = hair_volume(load_head_model().mesh(codes, Gaze()), field.template_jaw)
+    volume = hair_volume(model.mesh(codes, Gaze()), field.template_jaw)
     assert volume is not None
     none = Codes(*(np.zeros(size, np.float32) for size in model.code_sizes))
     none.expression[model.expression_names.index("jawOpen")] = field.template_jaw

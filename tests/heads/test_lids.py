@@ -13,14 +13,14 @@ from gazenerf.checkpoints import load_field
 from gazenerf.data.rasterizer import Rasterizer
 from gazenerf.data.surface_points import template_of
 from gazenerf.errors import UserError
-from gazenerf.field.lids import AROUND, BORDER, OVER, UNDER, Lids, _border
+from gazenerf.field.lids import BORDER, OVER, PLACED_ANEW, UNDER, Lids, _border
 from gazenerf.geometry import Camera, Gaze
 from gazenerf.head_model import FACE, load_head_model
 from gazenerf.head_model.model import EYE_RADIUS
 from gazenerf.head_model.ray_scenes import ray_scene, tensor
 from gazenerf.head_model.sampling import sample_person
 from gazenerf.heads import Head
-from gazenerf.heads.lids import lids, shut_lids
+from gazenerf.heads.lids import lids
 from gazenerf.image_metrics import psnr
 from gazenerf.subjects import Subject, load_subject
 
@@ -30,7 +30,8 @@ CONTOURS = (range(42, 48), range(36, 42))
 
 @pytest.fixture(scope="module")
 def known() -> Lids:
-    return lids(load_head_model().mesh(load_subject("jana").codes, Gaze()), 0.0)
+    codes = load_subject("jana").codes
+    return lids(codes, load_head_model().mesh(codes, Gaze()), 0.0)
 
 
 def border(known: Lids, places: np.ndarray, eye: int) -> np.ndarray:
@@ -108,6 +109,12 @@ def test_strangers_have_no_skin_on_their_irises_and_no_eyeballs_through_their_li
     assert wrong_places(head, gaze) <= 0.1 * before
 
 
+def without_shut_lids(head: Head) -> Head:
+    assert head.lids is not None
+    head.__dict__["lids"] = head.lids._replace(shut=None)
+    return head
+
+
 def blinking(amount: float) -> Subject:
     jana, names = load_subject("jana"), load_head_model().expression_names
     expression = jana.codes.expression.copy()
@@ -126,17 +133,16 @@ def test_lids_that_an_expression_shuts_stay_shut(shut: float) -> None:
 def test_skin_about_shut_eyes_is_placed_where_the_head_model_has_it() -> None:
     subject, template = blinking(1.0), template_of(load_head_model())
     mesh = load_head_model().mesh(subject.codes, Gaze())
-    shut = shut_lids(subject.codes, mesh, 0.0)
-    assert shut is not None and shut.shares.tolist() == [1.0, 1.0]
+    shut = lids(subject.codes, mesh, 0.0)
+    assert shut.shut is not None and shut.shut.shares.tolist() == [1.0, 1.0]
     skin = np.unique(mesh.part_faces(FACE))
     away = np.linalg.norm(mesh.vertices[skin][:, None] - mesh.eye_centres, axis=-1).min(axis=1) / EYE_RADIUS
     ahead = mesh.vertices[skin][:, 2] > mesh.eye_centres[0][2] + 0.5 * EYE_RADIUS
     outer = (mesh.normals[skin] * (mesh.vertices[skin] - mesh.eye_centres.mean(axis=0))).sum(axis=1) > 0.0
-    near, far = skin[(away < 1.3) & ahead & outer], skin[away > AROUND[1]][::50]
+    near, far = skin[(away < 1.3) & ahead & outer], skin[away > PLACED_ANEW[1]][::50]
     points, wrong = (torch.from_numpy(mesh.vertices[some].astype(np.float32))[None] for some in (near, far))
     found = shut.placed(torch.zeros_like(points), points)[0].numpy()
-    open_eyed = Head(load_field("portrait-sdf"), subject)
-    open_eyed.__dict__["shut_lids"] = None
+    open_eyed = without_shut_lids(Head(load_field("portrait-sdf"), subject))
     bound = open_eyed.at(Gaze())
     network = bound.field.streams["face"].places(points, bound.conditions["face"])[0].detach().numpy()
     off, before = (np.median(np.linalg.norm(some - template.vertices[near], axis=1)) for some in (found, network))
@@ -144,16 +150,16 @@ def test_skin_about_shut_eyes_is_placed_where_the_head_model_has_it() -> None:
     untouched = torch.zeros_like(wrong)
     assert shut.placed(untouched, wrong) is untouched
     half = replace(subject, codes=replace(subject.codes, expression=0.25 * subject.codes.expression))
-    part = shut_lids(half.codes, mesh, 0.0)
-    assert part is not None and 0.3 < float(part.shares[0]) < 0.7
+    part = lids(half.codes, mesh, 0.0)
+    assert part.shut is not None and 0.3 < float(part.shut.shares[0]) < 0.7
     partly = part.placed(torch.zeros_like(points), points)[0].numpy()
-    np.testing.assert_allclose(partly, float(part.shares[0]) * found, atol=1e-5)
+    np.testing.assert_allclose(partly, float(part.shut.shares[0]) * found, atol=1e-5)
 
 
 def test_open_eyes_and_fields_without_features_on_the_template_are_placed_by_the_network() -> None:
     head = Head(load_field("portrait-sdf"), blinking(0.05))
-    assert head.lids is not None and head.shut_lids is None
-    assert Head(load_field("portrait"), blinking(1.0)).shut_lids is None
+    assert head.lids is not None and head.lids.shut is None
+    assert Head(load_field("portrait"), blinking(1.0)).lids is None
 
 
 @pytest.mark.parametrize(("amount", "nearer"), [(0.5, 1.0), (1.0, 1.0)])
@@ -166,7 +172,7 @@ def test_half_shut_and_shut_eyes_look_more_like_the_head_models(amount: float, n
     except UserError as error:
         pytest.skip(str(error))
     head, other = (Head(load_field("portrait-sdf"), subject) for _ in range(2))
-    other.__dict__["shut_lids"] = None
+    without_shut_lids(other)
     about = camera.project(mesh.eye_centres)[0].mean(axis=0).astype(int)
     rows, columns = slice(about[1] - 18, about[1] + 18), slice(about[0] - 55, about[0] + 55)
     after, before = (
