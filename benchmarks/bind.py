@@ -33,7 +33,8 @@ def measure_bind(field: TwoStreamField, subject: Subject, gazes: int = 20) -> di
 
     Returns:
         `first`: of a subject never seen, which finds the occupancy; `new_gaze`: the median over gazes of
-        the same subject; `bake`: of the whole head; `new_gaze_baked`: turning a baked head.
+        the same subject; `new_lids`: the longest of these, where lids have to be found at up to four gazes around;
+        `bake`: of the whole head; `new_gaze_baked`: turning a baked head.
     """
     rng = np.random.default_rng(0)
     turns = [Gaze.from_degrees(*(float(angle) for angle in rng.uniform(-20, 20, 2))) for _ in range(gazes)]
@@ -45,6 +46,7 @@ def measure_bind(field: TwoStreamField, subject: Subject, gazes: int = 20) -> di
     return {
         "first": first,
         "new_gaze": statistics.median(new),
+        "new_lids": max(new),
         "bake": baked.report.seconds,
         "new_gaze_baked": statistics.median(turned),
     }

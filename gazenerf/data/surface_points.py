@@ -16,6 +16,7 @@ from scipy.spatial import KDTree
 
 from gazenerf.geometry import Gaze
 from gazenerf.head_model.expressions import sample_expressions, with_open_mouth
+from gazenerf.head_model.follow import codes_at
 from gazenerf.head_model.interface import EYE_LEFT, EYE_RIGHT, FACE, MOUTH, HeadMesh
 from gazenerf.head_model.model import ParametricHead
 from gazenerf.head_model.ray_scenes import ray_scene, tensor
@@ -81,7 +82,8 @@ class SurfacePoints:
     """Points of P people about the surface of one part.
 
     Attributes:
-        shape_code: (P, I + E); appearance_code: (P, T + L); gaze: (P, 2) pitch up and yaw left, radians.
+        shape_code: (P, I + E), with the lids at the gaze (`codes_at`); appearance_code: (P, T + L).
+        gaze: (P, 2) pitch up and yaw left, radians.
         surface, normals: (P, S, 3) points on it and unit outward normals.
         places: (P, S, 3) the same points of the template, see `template_of`.
         points: (P, N, 3) about it; distance: (P, N) theirs, negative inside, world units.
@@ -210,7 +212,7 @@ def points_of(
     points = np.concatenate(about).astype(np.float32)
     label = np.array([gaze.pitch, gaze.yaw], np.float32)
     distance = _distance_from_any(scenes, points)
-    arrays = codes.shape_code, codes.appearance_code, label, surface, normals, places, points, distance
+    arrays = codes_at(codes, gaze).shape_code, codes.appearance_code, label, surface, normals, places, points, distance
     return SurfacePoints(*(torch.from_numpy(np.asarray(value, np.float32))[None] for value in arrays))
 
 

@@ -220,7 +220,7 @@ class DistanceNetwork(nn.Module):
             distance = self.at(places, condition)
             if lids is not None:
                 places = lids.placed(places, points.float())
-                distance = lids.over(distance, points.float(), places)
+                distance = lids.over(distance, points.float())
             if hair is None:
                 return Placed(distance, places, places)
             of_hair = hair.distance(points)

@@ -6,7 +6,7 @@ import numpy as np
 
 from gazenerf.geometry import Gaze
 from gazenerf.head_model.interface import HeadModel
-from gazenerf.head_model.lids import LID_PITCH
+from gazenerf.head_model.lids import LID_PITCH, LIDS_MEET
 
 PAIRED = (
     "browDown", "browOuterUp", "cheekSquint", "eyeBlink", "eyeSquint", "eyeWide", "mouthDimple", "mouthFrown",
@@ -51,8 +51,8 @@ LIP_CLOSING = {
 JAW_OPENING, LIP_PLAY = 26.6, 0.8
 """Millimetres between the inner lips by a whole jawOpen, and by how much they may come together; 0.9 meet at rest."""
 
-LIDS_MEET, SQUINT_CLOSES, LOOK_CLOSES = 0.75, 0.2, (0.25, 0.12)
-"""The eyeBlink that closes the bundled head's lids, and what a whole squint or look, down or up, takes off it."""
+SQUINT_CLOSES, LOOK_CLOSES = 0.2, (0.25, 0.12)
+"""What a whole squint or look, down or up, takes off the eyeBlink that closes the bundled head's lids."""
 
 OPEN_JAW = (0.05, 0.8)
 """How far the mouth of `with_open_mouth` is open at least, jawOpen."""

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import overload
 
 import numpy as np
+import torch
 
 from gazenerf.errors import UserError
 from gazenerf.geometry import Gaze
@@ -16,7 +17,7 @@ from gazenerf.head_model.eyes import IRIS_CODES, RADIUS_MM, with_eye_albedo
 from gazenerf.head_model.generic import FORMAT, METRES_PER_UNIT, GenericHead
 from gazenerf.head_model.hair import Hair
 from gazenerf.head_model.interface import HeadMesh
-from gazenerf.head_model.lids import fit_lids, lid_coefficients, push_out
+from gazenerf.head_model.lids import fit_lids, followed, lid_coefficients, push_out
 from gazenerf.head_model.mouth import Mouth
 from gazenerf.head_model.points import LinearAlbedo, OtherEyeballs, SkinPoints, double
 from gazenerf.head_model.subdivision import subdivide, triangles
@@ -72,9 +73,11 @@ class ParametricHead:
             27,
         )
 
-    def lids(self, gaze: Gaze) -> np.ndarray:
-        """(E,) expression coefficients that make the lids follow a gaze."""
-        return lid_coefficients(self.expression_names, gaze)
+    def driven(self, expression: np.ndarray, gaze: Gaze) -> np.ndarray:
+        """(E,) float32 coefficients of a face with an expression (E,) whose lids follow a gaze, eyeLook* among them."""
+        pitch = torch.tensor(gaze.pitch, dtype=torch.float64)
+        own = followed(self.expression_names, torch.tensor(expression, dtype=torch.float64), pitch).numpy()
+        return own.astype(np.float32) + lid_coefficients(self.expression_names, gaze)
 
     def eye_centres(self, identity: np.ndarray) -> np.ndarray:
         """(2, 3) centres of rotation, left then right, world units."""
@@ -103,7 +106,7 @@ class ParametricHead:
             self.template[used], self.identity[:, used], self.expression[:, used], mix[:, used].toarray(),
             self.expression_names, self.source_eyes + self._eyes_ahead, self.source_eyes_identity, EYE_RADIUS,
             LID_CLEARANCE,
-            OtherEyeballs(double(self.source_eyes), double(self.source_eyes_identity), self.source_radius),
+            OtherEyeballs(double(self.source_eyes), double(self.source_eyes_identity), self.source_radius), True,
         )  # fmt: skip
 
     def albedo_at(self, vertices: np.ndarray) -> LinearAlbedo:
@@ -123,7 +126,7 @@ class ParametricHead:
             raise UserError(
                 f"the head model {self.name} takes {len(self.hair_names)} hair codes or none, got {codes.hair.size}"
             )
-        expression = codes.expression + self.lids(gaze)
+        expression = self.driven(codes.expression, gaze)
         base = (
             self.template
             + np.tensordot(codes.identity, self.identity, 1)

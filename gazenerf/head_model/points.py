@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from gazenerf.head_model.lids import LID_LIMIT, LID_OPENING, LID_PITCH, LID_YAW, LOOKS
+from gazenerf.head_model.lids import LID_LIMIT, LID_OPENING, LID_PITCH, LID_YAW, LOOKS, followed
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,7 @@ class SkinPoints:
         eyes, eyes_identity: (2, 3) and (I, 2, 3) centres of the eyeballs.
         radius, clearance: Of the eyeballs; the skin keeps that far from them.
         fitted_from: The eyeballs that the skin was made for, if it has to be fitted to these.
+        upper_lids_follow: Whether the gaze drives eyeBlink and eyeWide, too, as the bundled head's.
     """
 
     def __init__(
@@ -51,11 +52,13 @@ class SkinPoints:
         radius: float,
         clearance: float,
         fitted_from: OtherEyeballs | None = None,
+        upper_lids_follow: bool = False,
     ) -> None:
         self._template, self._identity, self._expression = double(template), double(identity), double(expression)
         self._mix, self._eyes, self._eyes_identity = double(mix), double(eyes), double(eyes_identity)
         self.radius, self._clearance, self._fitted_from = float(radius), float(clearance), fitted_from
         self._looks = [LOOKS.get(name) for name in names]
+        self._followed = tuple(names) if upper_lids_follow else ()
 
     def eye_centres(self, identity: torch.Tensor) -> torch.Tensor:
         """(2, 3) centres of rotation, the subject's left first, world units."""
@@ -63,7 +66,8 @@ class SkinPoints:
 
     def __call__(self, identity: torch.Tensor, expression: torch.Tensor, gaze: torch.Tensor) -> torch.Tensor:
         """(K, 3) points in world units, at codes (I,) and (E,) and a gaze (2,): pitch and yaw, radians."""
-        driven = expression + self._lids(gaze)
+        own = followed(self._followed, expression, gaze[0]) if self._followed else expression
+        driven = own + self._lids(gaze)
         base = self._template + torch.tensordot(identity, self._identity, 1) + torch.tensordot(
             driven, self._expression, 1
         )  # fmt: skip

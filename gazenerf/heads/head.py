@@ -24,6 +24,7 @@ from gazenerf.field.model import TwoStreamField
 from gazenerf.field.streams import StreamCondition
 from gazenerf.geometry import Gaze
 from gazenerf.geometry.paths import BeyondTraining, GazeRange
+from gazenerf.head_model.follow import codes_at
 from gazenerf.heads.batches import FrameBatches, draw_guided
 from gazenerf.heads.bound import BoundHead
 from gazenerf.heads.eye_detail import EyeDetail
@@ -264,7 +265,7 @@ class Head:
 
     def conditions(self, gaze: Gaze) -> tuple[torch.Tensor, dict[str, StreamCondition]]:
         """The gaze as the streams take it, (1, 2), and each stream's folded codes."""
-        codes = self.subject.codes
+        codes = codes_at(self.subject.codes, gaze)
         with self.exactly():
             shape = torch.from_numpy(codes.shape_code)[None].to(self.device)
             appearance = torch.from_numpy(codes.appearance_code)[None].to(self.device)
@@ -273,7 +274,7 @@ class Head:
         face = "face" if "face" in found else "head"
         known = found[face].distance
         if known is not None:
-            found[face] = replace(found[face], distance=known._replace(hair=self.hair, lids=self.lids))
+            found[face] = replace(found[face], distance=known._replace(hair=self.hair, lids=self.lids(gaze)))
         return label, found
 
     @cached_property
@@ -284,10 +285,9 @@ class Head:
         found = self._person.hair_at_hand if self._hasty else self._person.hair
         return None if found is None else found.to(self.device)
 
-    @cached_property
-    def lids(self) -> Lids | None:
-        """The subject's lids; None where they are unknown, or the field has no distances to lay them over."""
-        found = self._person.lids if takes_hair(self.field.config) else None
+    def lids(self, gaze: Gaze) -> Lids | None:
+        """The subject's lids at a gaze; None where they are unknown, or the field has no distances to lay them over."""
+        found = self._person.lids(gaze, self._hasty) if takes_hair(self.field.config) else None
         return None if found is None else found.to(self.device)
 
     @property

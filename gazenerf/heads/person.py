@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -16,7 +17,7 @@ from gazenerf.head_model.interface import HeadMesh
 from gazenerf.head_model.shading import shade
 from gazenerf.heads.eye_detail import EyeDetail, eye_detail
 from gazenerf.heads.hair import hair_volume
-from gazenerf.heads.lids import lids
+from gazenerf.heads.lids import between, lids
 from gazenerf.heads.mouth_detail import MouthDetail, MouthScene, mouth_scene
 from gazenerf.subjects import Codes
 
@@ -55,13 +56,21 @@ class Person:
             of, found = self._found.get("hair", ((b"",), None))
         return found if of[-1] == self.codes.hair.tobytes() else self.hair
 
-    @property
-    def lids(self) -> Lids | None:
-        """The lids."""
+    def lids(self, gaze: Gaze, hasty: bool = False) -> Lids | None:
+        """The lids at a gaze, between those at the nearest of a few gazes (`gazenerf.heads.lids.between`).
+
+        Args:
+            gaze: Head frame.
+            hasty: Those at the nearest one alone: for each that is new a tenth of a second passes.
+        """
         if not self._known:
             return None
-        codes = self.codes
-        return self._once("lids", lambda: lids(codes, self._mesh, self._jaw), codes.identity, codes.expression)
+        codes, jaw = self.codes, self._jaw
+        keys, weights = between(gaze)
+        if hasty:
+            keys, weights = [keys[int(np.argmax(weights))]], [1.0]
+        of = codes.identity, codes.expression
+        return Lids.mean([self._once(f"lids at {key}", partial(lids, codes, key, jaw), *of) for key in keys], weights)
 
     @property
     def eyes(self) -> EyeDetail | None:

@@ -12,6 +12,7 @@ from gazenerf.errors import UserError
 from gazenerf.field.compositing import Composited, composite, composite_stream, composite_streams
 from gazenerf.field.sampling import RaySamples, ray_samples, shell_samples, slab_samples
 from gazenerf.geometry import Camera, camera_rays
+from gazenerf.head_model.follow import codes_at
 from gazenerf.heads.cutouts import cut_outs_of
 from gazenerf.heads.details import detailed
 from gazenerf.heads.feature_map import FeatureGrid, RayFeatures, Window, add_behind, to_picture
@@ -338,7 +339,7 @@ def published_pass(bound: BoundHead, camera: Camera) -> dict[str, torch.Tensor]:
     """See `BoundHead.render_slow`."""
     if not bool((camera_rays(camera.resized(8))[1][:, 2] < -SLAB_SLOPE).all()):
         raise UserError("the published path needs a camera in front of the head; use render for other views")
-    head, codes = bound.head, bound.subject.codes
+    head, codes = bound.head, codes_at(bound.subject.codes, bound.gaze)
     small = camera.resized(bound.field.config.feature_size)
 
     def tensor(array: np.ndarray) -> torch.Tensor:

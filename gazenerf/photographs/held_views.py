@@ -15,6 +15,7 @@ from gazenerf.field.model import TwoStreamField
 from gazenerf.field.plane import plane_coordinates
 from gazenerf.field.sampling import shell_samples
 from gazenerf.geometry import Camera, Gaze
+from gazenerf.head_model.follow import codes_at
 from gazenerf.heads import Head
 from gazenerf.heads.feature_map import FeatureGrid
 from gazenerf.subjects import Codes
@@ -136,7 +137,7 @@ def draw_held(field: TwoStreamField, view: HeldView, window: Window | None = Non
     top, left, height, width = window or (0, 0, *view.shape)
     chosen = torch.full(view.shape, -1)
     chosen[top : top + height, left : left + width] = torch.arange(height * width).reshape(height, width)
-    shape_code = torch.from_numpy(view.codes.shape_code)[None]
+    shape_code = torch.from_numpy(codes_at(view.codes, view.gaze).shape_code)[None]
     appearance = torch.from_numpy(view.codes.appearance_code)[None]
     label = field.label(torch.from_numpy(view.gaze.label)[None])
     background = field.renderer.background(*view.shape)[0, :, top : top + height, left : left + width].flatten(1).T

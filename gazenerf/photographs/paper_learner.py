@@ -25,6 +25,7 @@ from gazenerf.data.captures import Capture
 from gazenerf.data.rasterizer import Rasterizer
 from gazenerf.errors import UserError
 from gazenerf.field.model import TwoStreamField
+from gazenerf.head_model.follow import codes_at
 from gazenerf.personal_weights import MAX_BYTES
 from gazenerf.photographs.appearance import Seen
 from gazenerf.photographs.lessons import Lesson
@@ -144,7 +145,7 @@ class PaperLearner:
         return found
 
     def _moved(self, number: int) -> dict[str, torch.Tensor]:
-        codes = self.codes()[number]
+        codes = codes_at(self.codes()[number], self.captures[number].gaze)
         names = "shape_code", "appearance_code"
         return {name: torch.from_numpy(getattr(codes, name))[None] for name in names}
 

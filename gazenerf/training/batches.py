@@ -12,6 +12,7 @@ import torch
 
 from gazenerf.cores import usable_cores
 from gazenerf.data.captures import Capture
+from gazenerf.head_model.follow import codes_at
 from gazenerf.training.ray_targets import RayTargets, ray_targets
 from gazenerf.training.windows import Window
 
@@ -27,7 +28,7 @@ class Batch:
         index: (B,) int64 which captures.
         image: (B, 3, H, W) float32 sRGB; of the window where there is one.
         parts: (B, H, W) uint8, values of `Capture.parts`.
-        shape_code, appearance_code, gaze: (B, .) float32; gaze is the native label.
+        shape_code, appearance_code, gaze: (B, .) float32, lids at the gaze (`codes_at`); gaze is the native label.
         rays_o, rays_d: (B, R, 3) float32 unit rays, world.
         rays: (B, R) int64 flat feature indices.
         valid: (B, R) bool; padding is False.
@@ -166,7 +167,7 @@ class BatchMaker:
             index=torch.tensor(list(indices)),
             image=self._shown([c.image for c in captures], corners).permute(0, 3, 1, 2).float() / 255.0,
             parts=self._shown([c.parts for c in captures], corners),
-            shape_code=torch.from_numpy(np.stack([c.codes.shape_code for c in captures])),
+            shape_code=torch.from_numpy(np.stack([codes_at(c.codes, c.gaze).shape_code for c in captures])),
             appearance_code=torch.from_numpy(np.stack([c.codes.appearance_code for c in captures])),
             gaze=torch.from_numpy(np.stack([c.gaze.label for c in captures])),
             rays_o=torch.from_numpy(np.stack(origins).astype(np.float32)),

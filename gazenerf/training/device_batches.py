@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
+from gazenerf.head_model.follow import codes_at
 from gazenerf.training.batches import FREE_RAYS, Batch, BatchMaker
 from gazenerf.training.ray_targets import PER_RAY, RayTargets
 
@@ -46,7 +47,7 @@ class DeviceBatchMaker:
         def rows(values: list[np.ndarray]) -> torch.Tensor:
             return torch.from_numpy(np.stack(values)).to(device)
 
-        self._shape_code = rows([capture.codes.shape_code for capture in captures])
+        self._shape_code = rows([codes_at(capture.codes, capture.gaze).shape_code for capture in captures])
         self._appearance_code = rows([capture.codes.appearance_code for capture in captures])
         self._gaze = rows([capture.gaze.label for capture in captures])
         self._eye_corner = rows([np.array(target.eye_corner, dtype=np.int64) for target in targets])

@@ -92,9 +92,9 @@ def test_upper_lid_follows_the_gaze_up_and_down(head, person):
     assert 100.0 * (heights[2] - heights[0]) > 1.5
 
 
-def test_lids_are_at_rest_for_a_gaze_straight_ahead(head):
-    assert not head.lids(Gaze()).any()
-    assert head.lids(Gaze.from_degrees(10, 0)).max() > 0
+def test_lids_are_at_rest_for_a_gaze_straight_ahead(head, person):
+    np.testing.assert_array_equal(head.driven(person.expression, Gaze()), person.expression)
+    assert (head.driven(person.expression, Gaze.from_degrees(10, 0)) - person.expression).max() > 0
 
 
 @pytest.mark.parametrize("gaze", GAZES)

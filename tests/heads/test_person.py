@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,10 +16,16 @@ from gazenerf.head_model.interface import HeadMesh
 from gazenerf.heads import Head
 from gazenerf.heads import person as person_module
 from gazenerf.heads.hair import hair_volume
+from gazenerf.heads.lids import lids
 from gazenerf.heads.person import Person
 from gazenerf.subjects import Codes, Subject, load_subject
 
 THINGS = ("hair", "lids", "eyes", "mouth")
+
+
+def thing(person: Person, name: str) -> Any:
+    """What is known of a person under a name; of lids those straight ahead."""
+    return person.lids(Gaze()) if name == "lids" else getattr(person, name)
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +41,7 @@ def jana() -> Subject:
 @pytest.fixture(scope="module")
 def person(jana: Subject) -> Person:
     found = Person(jana.codes, 0.0)
-    assert all(getattr(found, name) is not None for name in THINGS)
+    assert all(thing(found, name) is not None for name in THINGS)
     return found
 
 
@@ -55,7 +62,7 @@ def test_what_a_code_does_not_change_is_kept_and_the_rest_is_as_found_anew(
     other[-2] += 0.1
     codes = replace(person.codes, **{code: other})
     moved, alone = Person(codes, 0.0, like=person), Person(codes, 0.0)
-    assert {name for name in THINGS if getattr(moved, name) is getattr(person, name)} == kept - {"scene"}
+    assert {name for name in THINGS if thing(moved, name) is thing(person, name)} == kept - {"scene"}
     assert moved.mouth is not None and person.mouth is not None and alone.mouth is not None
     assert (moved.mouth.shape is person.mouth.shape) == ("scene" in kept)
     np.testing.assert_array_equal(moved.mouth.colours, alone.mouth.colours)
@@ -63,18 +70,19 @@ def test_what_a_code_does_not_change_is_kept_and_the_rest_is_as_found_anew(
     for one, same in zip(moved.mouth.seen(camera), alone.mouth.seen(camera), strict=True):
         np.testing.assert_array_equal(one, same)
     for name in ("hair", "lids"):
-        for one, same in zip(getattr(moved, name), getattr(alone, name), strict=True):
+        for one, same in zip(thing(moved, name), thing(alone, name), strict=True):
             np.testing.assert_array_equal(one, same)
 
 
 def test_a_head_sampled_otherwise_asks_for_nothing_again(field: TwoStreamField, jana: Subject) -> None:
     head = Head(field, jana)
-    found = head.lids, head.hair, head.mouth_detail, head.eye_detail
+    found = head.lids(Gaze()), head.hair, head.mouth_detail, head.eye_detail
     other = head.with_sampler("slabs")
     assert other is not head
     assert other.mouth_detail is found[2] and other.eye_detail is found[3]
-    assert found[0] is not None and found[1] is not None and other.lids is not None and other.hair is not None
-    assert all(one is same for one, same in zip((*other.lids, *other.hair), (*found[0], *found[1]), strict=True))
+    lids = other.lids(Gaze())
+    assert found[0] is not None and found[1] is not None and lids is not None and other.hair is not None
+    assert all(one is same for one, same in zip((*lids, *other.hair), (*found[0], *found[1]), strict=True))
 
 
 def test_a_head_like_another_draws_the_same_picture(field: TwoStreamField, jana: Subject) -> None:
@@ -96,7 +104,7 @@ def test_a_head_like_another_draws_the_same_picture(field: TwoStreamField, jana:
     ids=["another head model", "other hair codes"],
 )
 def test_of_people_of_other_head_models_nothing_is_known(codes: Codes) -> None:
-    assert all(getattr(Person(codes, 0.0), name) is None for name in THINGS)
+    assert all(thing(Person(codes, 0.0), name) is None for name in THINGS)
 
 
 def test_in_haste_hair_is_as_a_like_head_had_it_unless_the_cut_changes(
@@ -125,3 +133,18 @@ def test_in_haste_hair_is_as_a_like_head_had_it_unless_the_cut_changes(
     assert short is not None and len(counted) == 2 and short.values.shape != known.hair.values.shape
     alone = Head(field, replace(jana, codes=replace(codes, expression=expression))).in_haste()
     assert alone.hair is not None and len(counted) == 3
+
+
+def test_lids_of_neighbouring_gazes_share_what_was_found(person: Person, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Gaze] = []
+    monkeypatch.setattr(person_module, "lids", lambda codes, gaze, jaw: asked.append(gaze) or lids(codes, gaze, jaw))
+    alone = Person(person.codes, 0.0)
+    alone.lids(Gaze.from_degrees(-3.0, 4.0))
+    assert len(asked) == 4 and Gaze() in asked
+    alone.lids(Gaze.from_degrees(-7.0, 9.0))
+    assert len(asked) == 4
+    alone.lids(Gaze.from_degrees(-3.0, -4.0))
+    assert len(asked) == 6
+    quick = Person(person.codes, 0.0)
+    assert quick.lids(Gaze.from_degrees(-3.0, 4.0), hasty=True) is quick.lids(Gaze())
+    assert len(asked) == 7

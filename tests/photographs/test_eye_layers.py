@@ -89,7 +89,7 @@ def test_harmonic_continuation_reproduces_planes_and_stays_in_its_domain():
 def test_skin_moves_as_the_head_models_vertices_do(model):
     codes = Codes(*(np.zeros(size, np.float32) for size in model.code_sizes))
     codes = replace(codes, illumination=np.full(27, 0.3, np.float32))
-    before, after = (model.mesh(codes, Gaze.from_degrees(pitch, 0.0)) for pitch in (0.0, -15.0))
+    before, after = (model.mesh(codes, Gaze.from_degrees(pitch, 0.0)) for pitch in (0.0, -10.0))
     camera = Camera.neutral(1024)
     centre = camera.project(before.eye_centres[0])[0]
     window = camera.cropped(int(centre[0]) - 60, int(centre[1]) - 60, 120, 120)
