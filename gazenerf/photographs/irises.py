@@ -32,6 +32,10 @@ LARGEST_INTEROCULAR = 200.0
 AWAY_MM = 3.0
 """An iris farther from the detected one is something else: the shadow of a lid, a corner of the eye."""
 
+RIM = 0.014
+"""Distances between the eyes: the breadth of the lids' shadow and lashes along an opening, which may hide that what is
+left of it is an iris."""
+
 CLOSED = 0.12
 """An eye whose opening is less high than this share of its width counts as closed; open ones have 0.25 to 0.4."""
 
@@ -94,17 +98,17 @@ def find_eyes(
     for eye, outline in enumerate(outlines):
         if openness(landmarks)[eye] < CLOSED:
             continue
-        mask = np.zeros(window.shape[:2], np.uint8)
+        unit, mask = landmarks.interocular * scale[0], np.zeros(window.shape[:2], np.uint8)
         inside = np.round(((outline - corner) * scale - 0.5) * 16.0).astype(np.int32)
         cv2.fillPoly(mask, [inside], 1, lineType=cv2.LINE_8, shift=4)
         opening = mask > 0
         if mesh is not None:
-            shown, unit = shown_part(mesh, view, (EYE_LEFT, EYE_RIGHT)[eye]), landmarks.interocular * scale[0]
+            shown = shown_part(mesh, view, (EYE_LEFT, EYE_RIGHT)[eye])
             by_pixels = seen_opening(window, shown, opening, unit)
             opening = (soft_opening(opening, unit) if by_pixels is None else by_pixels) > 0.5
             if by_pixels is not None and shown.any() and opening.any():
                 moves[eye] = (_centre(opening) - _centre(shown)) / scale
-        fit = fit_iris(window / 255.0, opening, view, centres[eye], radius)
+        fit = _iris_in(window / 255.0, opening, view, Eyeball(centres[eye], radius), unit)
         if fit is not None:
             found[eye] = camera.project(centres[eye] + np.cos(IRIS_ANGLE) * radius * fit.direction)[0]
     if landmarks.irises is not None:
@@ -150,4 +154,14 @@ def find_iris(image: np.ndarray, opening: np.ndarray, camera: Camera, eyeball: E
     size = max(2, round(camera.width * factor)), max(2, round(camera.height * factor))
     if factor < 1.0:
         image, opening = (cv2.resize(part, size, interpolation=cv2.INTER_AREA) for part in (image, opening))
-    return fit_iris(image, opening > 0.5, camera.resized(*size), eyeball.centre, eyeball.radius)
+    return _iris_in(image, opening > 0.5, camera.resized(*size), eyeball, factor * unit)
+
+
+def _iris_in(image: np.ndarray, opening: np.ndarray, camera: Camera, eyeball: Eyeball, unit: float) -> IrisFit | None:
+    """The iris in an opening (H, W) bool, or else in the opening less its rim; other arguments as of `find_iris`."""
+    found = fit_iris(image, opening, camera, eyeball.centre, eyeball.radius)
+    if found is not None:
+        return found
+    rim = max(1, round(RIM * unit))
+    inner = cv2.erode(opening.astype(np.uint8), np.ones((2 * rim + 1, 2 * rim + 1), np.uint8)) > 0
+    return fit_iris(image, inner, camera, eyeball.centre, eyeball.radius)
