@@ -197,7 +197,7 @@ class BakedHead:
 
     def in_haste(self) -> BakedHead:
         """The same bake, `hasty`."""
-        return BakedHead(self.head, self.baked, hasty=True)
+        return BakedHead(self.head.with_what_is_at_hand(), self.baked, hasty=True)
 
 
 class BakedBoundHead:

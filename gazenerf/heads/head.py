@@ -177,7 +177,11 @@ class Head:
     def in_haste(self) -> Head:
         """The head for coarse pictures that are wanted at once, while codes change: sampled evenly, which needs no
         preparation, and with hair as a like head had it, where that is at hand; see `Person.hair_at_hand`."""
-        return self.with_sampler("slabs")._changed(_hasty=True)
+        return self.with_sampler("slabs").with_what_is_at_hand()
+
+    def with_what_is_at_hand(self) -> Head:
+        """The same head, hair and lids nearly as they are where finding them would take a moment; see `Person`."""
+        return self._changed(_hasty=True)
 
     def without_highlights(self) -> Head:
         """The same head with eyes that mirror no light, for textures: a highlight stays where the camera sees it, and

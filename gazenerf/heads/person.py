@@ -61,16 +61,19 @@ class Person:
 
         Args:
             gaze: Head frame.
-            hasty: Those at the nearest one alone: for each that is new a tenth of a second passes.
+            hasty: Unless those around are at hand, the nearest alone: each that is new takes a tenth of a second.
         """
         if not self._known:
             return None
         codes, jaw = self.codes, self._jaw
         keys, weights = between(gaze)
-        if hasty:
-            keys, weights = [keys[int(np.argmax(weights))]], [1.0]
         of = codes.identity, codes.expression
-        return Lids.mean([self._once(f"lids at {key}", partial(lids, codes, key, jaw), *of) for key in keys], weights)
+        names = [f"lids at {key}" for key in keys]
+        if hasty and not all(self._at_hand(name, *of) for name in names):
+            nearest = int(np.argmax(weights))
+            names, keys, weights = [names[nearest]], [keys[nearest]], [1.0]
+        found = [self._once(name, partial(lids, codes, key, jaw), *of) for name, key in zip(names, keys, strict=True)]
+        return Lids.mean(found, weights)
 
     @property
     def eyes(self) -> EyeDetail | None:
@@ -106,11 +109,22 @@ class Person:
         codes = self.codes
         return codes.identity, codes.expression, codes.texture, codes.hair  # hair is the last, see `hair_at_hand`
 
+    def _at_hand(self, name: str, *of: np.ndarray) -> bool:
+        """Whether something was found already under a name for such codes."""
+        with self._lock:
+            known = self._found.get(name)
+        return known is not None and known[0] == _key(of)
+
     def _once(self, name: str, find: Callable[[], T], *of: np.ndarray) -> T:
         """What was found under a name for such codes, else what `find` finds now."""
-        key = tuple(part.tobytes() for part in of)
+        key = _key(of)
         with self._lock:
             known = self._found.get(name)
             if known is None or known[0] != key:
                 self._found[name] = known = key, find()
             return known[1]
+
+
+def _key(of: tuple[np.ndarray, ...]) -> tuple[bytes, ...]:
+    """What codes are compared by."""
+    return tuple(part.tobytes() for part in of)

@@ -148,3 +148,7 @@ def test_lids_of_neighbouring_gazes_share_what_was_found(person: Person, monkeyp
     quick = Person(person.codes, 0.0)
     assert quick.lids(Gaze.from_degrees(-3.0, 4.0), hasty=True) is quick.lids(Gaze())
     assert len(asked) == 7
+    assert torch.equal(
+        alone.lids(Gaze.from_degrees(-5.0, 4.0), hasty=True)[1], alone.lids(Gaze.from_degrees(-5.0, 4.0))[1]
+    )
+    assert len(asked) == 7, "what is at hand is used in haste, too"
