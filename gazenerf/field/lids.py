@@ -79,7 +79,8 @@ class Lids(NamedTuple):
         """
         away, eye = self._nearest(points)
         full, none = (radii * self.radius for radii in PLACED_RADII)
-        near = (away < none).nonzero(as_tuple=True)
+        counts = self.skins[:, :, 4].flatten(1).amax(dim=1) > 0.0
+        near = ((away < none) & counts[eye]).nonzero(as_tuple=True)
         if not len(near[0]):
             return places
         eye, away = eye[near], away[near]

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import torch
-
 from gazenerf.geometry import Gaze
-from gazenerf.head_model.lids import followed
 from gazenerf.head_model.model import load_head_model
 from gazenerf.subjects import Codes
 
@@ -26,6 +23,4 @@ def codes_at(codes: Codes, gaze: Gaze) -> Codes:
     model = load_head_model()
     if codes.sizes != model.code_sizes:
         return codes
-    pitch = torch.tensor(gaze.pitch, dtype=torch.float64)
-    driven = followed(model.expression_names, torch.tensor(codes.expression, dtype=torch.float64), pitch)
-    return replace(codes, expression=driven.numpy())
+    return replace(codes, expression=model.followed(codes.expression, gaze))

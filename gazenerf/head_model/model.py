@@ -75,9 +75,13 @@ class ParametricHead:
 
     def driven(self, expression: np.ndarray, gaze: Gaze) -> np.ndarray:
         """(E,) float32 coefficients of a face with an expression (E,) whose lids follow a gaze, eyeLook* among them."""
+        return self.followed(expression, gaze) + lid_coefficients(self.expression_names, gaze)
+
+    def followed(self, expression: np.ndarray, gaze: Gaze) -> np.ndarray:
+        """(E,) float32 the same without eyeLook*; see `gazenerf.head_model.lids.followed`."""
         pitch = torch.tensor(gaze.pitch, dtype=torch.float64)
-        own = followed(self.expression_names, torch.tensor(expression, dtype=torch.float64), pitch).numpy()
-        return own.astype(np.float32) + lid_coefficients(self.expression_names, gaze)
+        own = followed(self.expression_names, torch.tensor(expression, dtype=torch.float64), pitch)
+        return own.numpy().astype(np.float32)
 
     def eye_centres(self, identity: np.ndarray) -> np.ndarray:
         """(2, 3) centres of rotation, left then right, world units."""
