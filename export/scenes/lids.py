@@ -50,7 +50,7 @@ def with_lids(head: HeadField, scene: Scene, face: trimesh.Trimesh, level: float
     table = scene.root.extras["gaze"] | {"lids": lids}
     nodes = tuple(replace(node, morphs=tuple(morphs)) if node.name == "face" else node for node in scene.root.children)
     root = replace(scene.root, children=nodes, extras={"gaze": table})
-    largest = max(float(np.abs(follow.moves).max()) for follow in followed) * mm
+    largest = max(float(follow.lengths.max()) for follow in followed) * mm
     facts = scene.facts | {"gaze": table, "lids_move_up_to_mm": largest}
     return replace(scene, root=root, clips=tuple(_driven(clip, lids) for clip in scene.clips), facts=facts)
 

@@ -16,8 +16,10 @@ from gazenerf.errors import UserError
 from gazenerf.export.formats.nodes import Morph
 from gazenerf.export.mesh.sphere_fit import Eyeball
 from gazenerf.export.scenes.rig import Scene, eyes_clip
+from gazenerf.export.scenes.skin_motion import Carried, SkinMotion
 from gazenerf.export.surface.lids import ClosedFace
 from gazenerf.geometry import Gaze
+from gazenerf.head_model import ReferenceHead
 from gazenerf.heads.interface import BoundField, HeadField, Part
 from gazenerf.progress import Progress, silent
 
@@ -33,7 +35,10 @@ RINGS = (2, 4, 8, STEPS // 2)
 """Steps on either side that are looked at in turn: the surface of most vertices is less than half a millimetre away."""
 
 LEAST_MM = 0.05
-"""Moves smaller than this are left out."""
+"""Moves along the normal smaller than this are left out."""
+
+BESIDE_MM = 1.0
+"""A vertex that a head model's skin carried goes so far along its normal, at most: farther away is another surface."""
 
 NEAR, FULL = 3.0, 2.25
 """Radii from an eye's centre within which the face moves at all, and follows in full: a trained face
@@ -48,7 +53,7 @@ class Follow:
     """How the face follows one gaze.
 
     Attributes:
-        moves: (V,) world units along each vertex's normal.
+        moves: (V, 3) world units.
         found: (V,) bool: the surface of both gazes was looked for and found along the normal.
         before_mm, after_mm: Median distance between the vertices that move and the surface at this
             gaze, along the normals of the mesh at rest, before and after they move; NaN where none does.
@@ -58,6 +63,11 @@ class Follow:
     found: np.ndarray
     before_mm: float
     after_mm: float
+
+    @property
+    def lengths(self) -> np.ndarray:
+        """(V,) of the moves, world units."""
+        return np.linalg.norm(self.moves, axis=1)
 
 
 class Solid(Protocol):
@@ -135,12 +145,13 @@ def follow_gaze(
     links: sparse.csr_matrix,
     share: np.ndarray,
     level: float,
+    carried: Carried | None = None,
 ) -> Follow:
     """How the vertices of a face move when the gaze changes.
 
-    Each goes along its normal as far as the surface does. One that lies on no surface of the density
-    (walls of the eye sockets, closed borders) or whose surface goes out of reach takes the mean of its
-    neighbours' moves.
+    Each goes along its normal as far as the surface does, from where a head model's skin carries it. One that lies on
+    no surface of the density (walls of the eye sockets, closed borders) or whose surface goes out of reach takes the
+    mean of its neighbours' moves along the normal.
 
     Args:
         bound: At the new gaze.
@@ -149,30 +160,42 @@ def follow_gaze(
         links: (V, V) neighbours of each vertex.
         share: (V,) of the move that each makes; where it is 0 nothing is queried.
         level: Density of the surface.
+        carried: By the skin of a head model; None where none is known.
     """
     mm = 1000.0 * bound.metres_per_unit
     near = share > 0
+    skin = np.zeros_like(points) if carried is None else share[:, None] * carried.moves
     there = np.full(len(points), np.nan)
-    there[near] = face_crossings(bound, points[near], normals[near], level)
+    there[near] = face_crossings(bound, (points + skin)[near], normals[near], level)
     found = np.isfinite(rest) & np.isfinite(there)
-    moves = np.where(found, there - rest, 0.0)
-    moves[np.abs(moves) < LEAST_MM / mm] = 0.0
+    if carried is not None:
+        found &= carried.on_skin & (np.abs(there - rest) < BESIDE_MM / mm)
+    along = np.where(found, there - rest, 0.0)
+    along[np.abs(along) < LEAST_MM / mm] = 0.0
     degree = np.maximum(np.asarray(links.sum(axis=1)).ravel(), 1.0)
     for _ in range(8):
-        moves = np.where(found | ~near, moves, (links @ moves) / degree)
+        along = np.where(found | ~near, along, (links @ along) / degree)
     for _ in range(2):
-        moves = 0.5 * moves + 0.5 * (links @ moves) / degree
-    moves *= share
-    moves[np.abs(moves) < 0.5 * LEAST_MM / mm] = 0.0
-    moved = found & (moves != 0.0)
-    before, after = np.abs(there - rest)[moved] * mm, np.abs(there - rest - moves)[moved] * mm
-    nothing = float("nan")
+        along = 0.5 * along + 0.5 * (links @ along) / degree
+    along *= share
+    along[np.abs(along) < 0.5 * LEAST_MM / mm] = 0.0
+    moves = skin + along[:, None] * normals
+    moved = found & (np.linalg.norm(moves, axis=1) > LEAST_MM / mm)
+    still = there[moved]
+    if carried is not None:
+        still = face_crossings(bound, points[moved], normals[moved], level)
     return Follow(
         moves,
         found,
-        float(np.median(before)) if before.size else nothing,
-        float(np.median(after)) if after.size else nothing,
+        _median(np.abs(still - rest[moved]) * mm),
+        _median(np.abs(there - rest - along)[moved] * mm),
     )
+
+
+def _median(values: np.ndarray) -> float:
+    """Of those that are finite, NaN where there are none."""
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else float("nan")
 
 
 def face_morphs(
@@ -209,15 +232,19 @@ def face_morphs(
     links = sparse.csr_matrix((np.ones(len(both)), tuple(both.T)), shape=(len(points),) * 2)
     radii = np.min([np.linalg.norm(points - eye.centre, axis=1) / eye.radius for eye in eyes], axis=0)
     share = np.clip((NEAR - radii) / (NEAR - FULL), 0.0, 1.0)
+    reference = ReferenceHead.of(head.subject)
+    skin = None if reference is None else SkinMotion(reference, rest, points, bound.metres_per_unit)
     crossings = np.full(len(points), np.nan)
     crossings[share > 0] = face_crossings(_followed(bound, eyes), points[share > 0], outward[share > 0], level)
     plain = trimesh.Trimesh(points, faces, process=False).vertex_normals
     morphs, followed = [], []
     for i, gaze in enumerate(gazes):
-        follow = follow_gaze(_followed(head.at(gaze), eyes), crossings, points, outward, links, share, level)
-        offsets = follow.moves[:, None] * outward
+        closed, carried = _followed(head.at(gaze), eyes), None if skin is None else skin.carried(gaze)
+        follow = follow_gaze(closed, crossings, points, outward, links, share, level, carried)
+        offsets = follow.moves
         turned = trimesh.Trimesh(points + offsets, faces, process=False).vertex_normals
-        near = (follow.moves != 0.0) | (links @ (follow.moves != 0.0) > 0)
+        moved = (offsets != 0.0).any(axis=1)
+        near = moved | (links @ moved > 0)
         change = np.where(near[:, None], turned - plain, 0.0)
         lengths = np.linalg.norm(outward + change, axis=1, keepdims=True)
         change = np.where(near[:, None], (outward + change) / np.maximum(lengths, 1e-9) - outward, 0.0)
@@ -263,11 +290,12 @@ def sequence_scene(
     facts = {
         "gazes_pitch_yaw_degrees": [list(gaze.degrees) for gaze in gazes],
         "gazes_a_second": FPS,
-        "morphs": "vertices move along their normals to the surface of each gaze; colours stay those at rest",
+        "morphs": "vertices move with the head model's skin, where one is known, and along their normals to the "
+        "surface of each gaze; colours stay those at rest",
         "followed": [
             {
-                "vertices_moved": int(np.count_nonzero(follow.moves)),
-                "largest_move_mm": float(np.abs(follow.moves).max() * mm),
+                "vertices_moved": int(np.count_nonzero(follow.lengths)),
+                "largest_move_mm": float(follow.lengths.max() * mm),
                 "median_distance_before_mm": None if np.isnan(follow.before_mm) else follow.before_mm,
                 "median_distance_after_mm": None if np.isnan(follow.after_mm) else follow.after_mm,
             }
