@@ -4,11 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
+from scipy.sparse import csr_matrix
 
 from gazenerf.head_model.lids import LID_LIMIT, LID_OPENING, LID_PITCH, LID_YAW, LOOKS, followed
+
+
+ABOUT_EYES = 0.4
+"""World units from an eyeball of the mean head beyond which no identity brings a vertex so near to one that its lids
+have to be fitted; such vertices are linear in the codes."""
 
 
 @dataclass(frozen=True)
@@ -24,6 +31,34 @@ class OtherEyeballs:
     centres: torch.Tensor
     identity: torch.Tensor
     radius: float
+
+
+class _Linear(NamedTuple):
+    """Places that are linear in the codes: (3N,), (I, 3N) and (E, 3N), flat, for N of them."""
+
+    mean: torch.Tensor
+    identity: torch.Tensor
+    expression: torch.Tensor
+
+    @staticmethod
+    def of(mean: np.ndarray, identity: np.ndarray, expression: np.ndarray, mix: np.ndarray | None = None) -> _Linear:
+        """Of vertices (B, 3), (I, B, 3) and (E, B, 3), or of mixtures (N, B) of them."""
+        arrays = (np.asarray(array, np.float64) for array in (mean, identity, expression))
+        if mix is not None:
+            sparse = csr_matrix(mix)
+            arrays = (_mixed(sparse, array) for array in arrays)
+        flat = [torch.from_numpy(array.reshape(*array.shape[:-2], -1).copy()) for array in arrays]
+        return _Linear(*flat)
+
+    def __call__(self, identity: torch.Tensor, expression: torch.Tensor) -> torch.Tensor:
+        """(N, 3) at codes (I,) and (E,)."""
+        return (self.mean + identity @ self.identity + expression @ self.expression).reshape(-1, 3)
+
+
+def _mixed(mix: csr_matrix, values: np.ndarray) -> np.ndarray:
+    """(..., N, 3) mixtures (N, B) of values (..., B, 3)."""
+    flat = np.moveaxis(values, -2, 0)
+    return np.moveaxis((mix @ flat.reshape(len(flat), -1)).reshape(-1, *flat.shape[1:]), 0, -2)
 
 
 class SkinPoints:
@@ -54,8 +89,13 @@ class SkinPoints:
         fitted_from: OtherEyeballs | None = None,
         upper_lids_follow: bool = False,
     ) -> None:
-        self._template, self._identity, self._expression = double(template), double(identity), double(expression)
-        self._mix, self._eyes, self._eyes_identity = double(mix), double(eyes), double(eyes_identity)
+        away = np.linalg.norm(template[:, None] - eyes, axis=-1).min(axis=1)
+        near = (mix[:, away < radius + ABOUT_EYES] != 0.0).any(axis=1)
+        self._order = torch.from_numpy(np.argsort(np.concatenate([np.flatnonzero(~near), np.flatnonzero(near)])))
+        self._far = _Linear.of(template, identity, expression, mix[~near])
+        used = (mix[near] != 0.0).any(axis=0)
+        self._base = _Linear.of(template[used], identity[:, used], expression[:, used])
+        self._mix, self._eyes, self._eyes_identity = double(mix[near][:, used]), double(eyes), double(eyes_identity)
         self.radius, self._clearance, self._fitted_from = float(radius), float(clearance), fitted_from
         self._looks = [LOOKS.get(name) for name in names]
         self._followed = tuple(names) if upper_lids_follow else ()
@@ -68,9 +108,7 @@ class SkinPoints:
         """(K, 3) points in world units, at codes (I,) and (E,) and a gaze (2,): pitch and yaw, radians."""
         own = followed(self._followed, expression, gaze[0]) if self._followed else expression
         driven = own + self._lids(gaze)
-        base = self._template + torch.tensordot(identity, self._identity, 1) + torch.tensordot(
-            driven, self._expression, 1
-        )  # fmt: skip
+        base = self._base(identity, driven)
         centres = self.eye_centres(identity)
         if self._fitted_from is not None:
             old = self._fitted_from
@@ -82,7 +120,7 @@ class SkinPoints:
             offset = points - centre
             distance = offset.norm(dim=1, keepdim=True).clamp(min=1e-6)
             points = centre + offset * ((self.radius + self._clearance) / distance).clamp(min=1.0)
-        return points
+        return torch.cat([self._far(identity, driven), points])[self._order]
 
     def _lids(self, gaze: torch.Tensor) -> torch.Tensor:
         shares = gaze / double([LID_PITCH, LID_YAW])
