@@ -12,7 +12,6 @@ from scipy.sparse import csr_matrix
 
 from gazenerf.head_model.lids import LID_LIMIT, LID_OPENING, LID_PITCH, LID_YAW, LOOKS, followed
 
-
 ABOUT_EYES = 0.4
 """World units from an eyeball of the mean head beyond which no identity brings a vertex so near to one that its lids
 have to be fitted; such vertices are linear in the codes."""
