@@ -43,7 +43,10 @@ IN_EARS = 12 * MM
 FOLLOW, NEIGHBOURS = 9 * MM, 16
 """Deviation of the weights by which a vertex follows control vertices of the skin, and how many they are."""
 
-NAMES = ("crop", "top", "round", "fringe", "bob", "long", "parting", "curls", "beard")
+NAMES = ("crop", "top", "round", "fringe", "bob", "long", "parting", "curls", "beard", "short_bob")
+
+ENDS = ([0, 60, 100, 140, 180], [-0.38, -0.38, -0.36, -0.58, -0.68])
+"""Degrees from the front, and the height at which a bob that leaves the earlobes free ends there, world units."""
 
 DARK_BROWN = (0.05, 0.034, 0.025)
 TONES = {6: (0.045, 0.027, 0.011), 7: (0.03, 0.028, 0.026)}
@@ -161,6 +164,12 @@ def cuts(grid: Grid) -> tuple[np.ndarray, np.ndarray]:
     bob = to_jaw * onto * curtain
     long = (1.0 - to_jaw) * smoothstep(-1.385, -1.3, y + jagged) * onto * curtain
 
+    # over the ears and no further, fullest at their top, and turned in towards its ends
+    ends = np.interp(turn, *ENDS) + 0.02 * rough(0.3, 18)
+    over = y - ends
+    body = (7.0 + 9.0 * smoothstep(0.0, 0.32, over) + 13.0 * ears * smoothstep(-0.1, 0.2, over)) * MM
+    short_bob = smoothstep(-0.03, 0.07, over + jagged) * onto * (below + body + 1.6 * MM * locks)
+
     line = np.exp(-(((x - 0.28) / 0.05) ** 2)) * smoothstep(0.55, 0.75, y) * smoothstep(-0.6, 0.2, z)
     side = np.clip((0.28 - x) / 0.5, -1.0, 1.0)
     parting = scalp * soft * smoothstep(0.4, 0.9, y) * (7 * MM * side) - 5 * MM * scalp * line
@@ -172,7 +181,7 @@ def cuts(grid: Grid) -> tuple[np.ndarray, np.ndarray]:
     shown = jaw * around * smoothstep(-0.15, 0.1, z) * (1.0 - smoothstep(84.0, 100.0, turn))
     chin = np.exp(-((turn / 42.0) ** 2)) * smoothstep(-0.85, -1.05, y)
     beard = shown * (BELOW + (2.0 + 3.0 * shown + 9.0 * chin + 0.8 * rough(0.045, 61)) * MM)
-    every = (crop, top, full, fringe, bob, long, parting, curls, beard)
+    every = (crop, top, full, fringe, bob, long, parting, curls, beard, short_bob)
     bare = grid.point - below[..., None] * grid.outward - sunk[..., None] * [0.0, 0.0, 1.0]
     return bare, np.stack([smoothed(one) for one in every])
 

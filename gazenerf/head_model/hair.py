@@ -88,10 +88,10 @@ class Hair:
         """(N, 3) float32 at hair codes (H,), world units.
 
         Args:
-            codes: About 0 to 1 each.
+            codes: About 0 to 1 each; fewer than H where they are older than a cut, which they then lack.
             moved: (B, 3) by how much identity and expression move the skin's control vertices.
         """
-        raised = (codes.astype(np.float32) @ self.added)[:, None] * self.direction
+        raised = self._height(codes)[:, None] * self.direction
         return (self.template + raised + self.mix @ moved.astype(np.float32)).astype(np.float32)
 
     def albedo(self, looks: np.ndarray) -> np.ndarray:
@@ -101,6 +101,10 @@ class Hair:
 
     def light(self, codes: np.ndarray) -> np.ndarray:
         """(N,) float32 share of the surroundings that each vertex sees: roots and furrows see less."""
-        height = codes.astype(np.float32) @ self.added
+        height = self._height(codes)
         risen = np.clip((height - SHOWN) / (FULL - SHOWN), 0.0, 1.0)
         return ((DARKEST + (1.0 - DARKEST) * risen) * (1.0 - FURROW * 0.5 * (1.0 - self.relief))).astype(np.float32)
+
+    def _height(self, codes: np.ndarray) -> np.ndarray:
+        """(N,) by how much codes raise each vertex."""
+        return codes.astype(np.float32) @ self.added[: len(codes)]

@@ -122,13 +122,14 @@ class ParametricHead:
         """The posed head with both eyes at `gaze`; with hair where the hair code is not empty.
 
         Raises:
-            UserError: codes of other sizes than `code_sizes`, or a hair code of another size than `hair_names`.
+            UserError: codes of other sizes than `code_sizes`, or a longer hair code than `hair_names`; what a shorter
+                one lacks is 0.
         """
         if codes.sizes != self.code_sizes:
             raise UserError(f"the head model {self.name} takes codes of {self.code_sizes}, got {codes.sizes}")
-        if codes.hair.size not in (0, len(self.hair_names)):
+        if codes.hair.size > len(self.hair_names):
             raise UserError(
-                f"the head model {self.name} takes {len(self.hair_names)} hair codes or none, got {codes.hair.size}"
+                f"the head model {self.name} takes up to {len(self.hair_names)} hair codes, got {codes.hair.size}"
             )
         expression = self.driven(codes.expression, gaze)
         base = (

@@ -51,8 +51,8 @@ def sample_person(rng: np.random.Generator, model: HeadModel) -> Codes:
 
 
 def sample_hair(rng: np.random.Generator, model: HeadModel) -> np.ndarray:
-    """(H,) a hair code: shaved or painted hair, crops, hair with volume, curls, fringes, hair over the ears or to the
-    neck, and beards; empty for models without hair."""
+    """(H,) a hair code: shaved or painted hair, crops, hair with volume, curls, fringes, hair over the ears, to the
+    jaw or to the neck, and beards; empty for models without hair."""
     found: dict[str, float] = {}
     put = found.update
     cut = rng.choice(
@@ -66,6 +66,8 @@ def sample_hair(rng: np.random.Generator, model: HeadModel) -> np.ndarray:
         put(round=rng.uniform(0.3, 1.3), curls=rng.uniform(0.5, 1.2))
     if cut in ("bob", "long"):
         put(crop=rng.uniform(0.2, 0.6), bob=rng.uniform(0.9, 1.25), parting=rng.uniform(-0.4, 0.4))
+    if cut == "bob" and rng.random() < 0.35:
+        put(short_bob=found.pop("bob"), round=rng.uniform(0.0, 0.7))
     if cut == "long":
         put(long=rng.uniform(0.9, 1.2))
     if cut == "fringe" or (cut in ("bob", "long") and rng.random() < 0.5):

@@ -37,7 +37,7 @@ class Person:
     def __init__(self, codes: Codes, jaw: float, like: Person | None = None) -> None:
         self.codes, self._jaw = codes, jaw
         model = load_head_model()
-        self._known = codes.sizes == model.code_sizes and codes.hair.size in (0, len(model.hair_names))
+        self._known = codes.sizes == model.code_sizes and codes.hair.size <= len(model.hair_names)
         self._lock = threading.RLock()
         self._found: dict[str, tuple[tuple[bytes, ...], Any]] = {} if like is None else dict(like._found)
 

@@ -1,8 +1,7 @@
 """Texture and light codes from the pixels of photographs, with the fitted shape held.
 
 Vertices that a photograph shows inside the face oval, but neither between the lips nor between the lids, are compared
-with the colour of their pixels: albedo (linear in the texture code) times the irradiance of the light code. Light and
-albedo trade against each other; what decides is how the head model's own sampler draws them together.
+with the colour of their pixels; see `gazenerf.photographs.looks`.
 """
 
 from __future__ import annotations
@@ -19,10 +18,9 @@ from gazenerf.data.rasterizer import Raster
 from gazenerf.geometry import Camera
 from gazenerf.head_model.interface import FACE, HeadMesh, HeadModel
 from gazenerf.head_model.points import double
-from gazenerf.head_model.sampling import sample_person
-from gazenerf.head_model.shading import LOBE, spherical_harmonics
 from gazenerf.photographs.irises import lids
 from gazenerf.photographs.landmarks import IN_THE_FACE_OVAL, FaceLandmarks
+from gazenerf.photographs.looks import LitVertices, LookPriors
 
 FACE_OVAL = (
     10, 338, 297, 332, 284, 251, 389, 356, 454, 323, 361, 288, 397, 365, 379, 378, 400, 377, 152, 148, 176, 149, 150,
@@ -33,7 +31,7 @@ INNER_LIPS = (78, 191, 80, 81, 82, 13, 312, 311, 310, 415, 308, 324, 318, 402, 3
 
 STANDARD_OVAL, STANDARD_LIPS = tuple(range(27)), tuple(range(60, 68))
 
-SAMPLES, MOST_VERTICES, MOST_EYE_VERTICES = 400, 6000, 1200
+MOST_VERTICES, MOST_EYE_VERTICES = 6000, 1200
 SKIN_DEVIATION, EYE_DEVIATION = 0.05, 0.10
 """sRGB: what a pixel may miss."""
 
@@ -117,23 +115,16 @@ def _filled(landmarks: FaceLandmarks, outline: Sequence[int], shape: tuple[int, 
 
 @dataclass(frozen=True)
 class _Colours:
-    """Vertices of one photograph: colours (N, 3), irradiance per light coefficient (N, 9), texture and its limits."""
+    """Vertices of one photograph: the colours of their pixels (N, 3), normals (N, 3), and what they are made of."""
 
     observed: torch.Tensor
-    harmonics: torch.Tensor
-    mean: torch.Tensor
-    basis: torch.Tensor
-    lowest: torch.Tensor
-    highest: torch.Tensor
+    normals: torch.Tensor
+    lit: LitVertices
     deviation: float
     weight: float
 
     def cost(self, texture: torch.Tensor, light: torch.Tensor) -> torch.Tensor:
-        albedo = self.mean + torch.tensordot(texture, self.basis, 1)
-        linear = albedo.clamp(self.lowest, self.highest) * (self.harmonics @ light.reshape(9, 3)).clamp(min=0.0)
-        linear = linear.clamp(1e-4, 1.5)
-        shown = torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1.0 / 2.4) - 0.055)
-        square = ((shown - self.observed) / self.deviation).square()
+        square = ((self.lit.colours(self.normals, texture, light) - self.observed) / self.deviation).square()
         return self.weight * ((1.0 + square).sqrt() - 1.0).sum(dim=1).mean()
 
 
@@ -179,11 +170,8 @@ def _colours(model: HeadModel, seen: Seen) -> list[_Colours]:
             continue
         at = (pixels[vertices] - 0.5).astype(np.float32)
         observed = cv2.remap(smooth, at[:, :1], at[:, 1:], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[:, 0]
-        open_share = np.ones(len(vertices)) if mesh.occlusion is None else mesh.occlusion[vertices]
-        harmonics = spherical_harmonics(mesh.normals[vertices]) * LOBE * open_share[:, None]
-        albedo = model.albedo_at(vertices)
-        linear = (double(albedo.mean), double(albedo.basis), double(albedo.lowest), double(albedo.highest))
-        found.append(_Colours(double(observed), double(harmonics), *linear, deviation, weight))
+        lit = LitVertices.of(model, vertices, mesh.occlusion)
+        found.append(_Colours(double(observed), double(mesh.normals[vertices]), lit, deviation, weight))
     return found
 
 
@@ -197,27 +185,21 @@ def fit_appearance(
         photographs: Of one person, with the fitted head.
         texture: (T,) where it is known and only the light is fitted.
     """
-    rng = np.random.default_rng(0)
-    people = [sample_person(rng, model) for _ in range(SAMPLES)]
-    textures, lights = (np.stack([getattr(p, name) for p in people]) for name in ("texture", "illumination"))
-    texture_mean, texture_deviation = textures.mean(axis=0), textures.std(axis=0) + 0.15
-    light_mean = lights.mean(axis=0)
-    precision = double(np.linalg.inv(np.cov(lights.T) + 1e-3 * np.eye(lights.shape[1])))
-    colours, size = [_colours(model, seen) for seen in photographs], len(texture_mean)
+    priors = LookPriors.of(model)
+    colours, size = [_colours(model, seen) for seen in photographs], len(priors.texture_mean)
 
     def both(flat: np.ndarray) -> tuple[float, np.ndarray]:
         leaf = double(flat).requires_grad_(True)
-        looks = leaf[:size]
-        cost = ((looks - double(texture_mean)) / double(texture_deviation)).square().sum()
-        for light, parts in zip(leaf[size:].reshape(len(colours), -1), colours, strict=True):
-            off = light - double(light_mean)
-            cost = cost + 0.5 * off @ precision @ off
+        looks, lights = leaf[:size], leaf[size:].reshape(len(colours), -1)
+        cost = priors.cost(looks, lights)
+        for light, parts in zip(lights, colours, strict=True):
             for part in parts:
                 cost = cost + part.cost(looks, light)
         (gradient,) = torch.autograd.grad(cost, leaf)
         return cost.item(), gradient.numpy()
 
-    start = np.concatenate([texture_mean if texture is None else texture, np.tile(light_mean, len(colours))])
+    mean, light_mean = priors.texture_mean.numpy(), priors.light_mean.numpy()
+    start = np.concatenate([mean if texture is None else texture, np.tile(light_mean, len(colours))])
     free: tuple[float | None, float | None] = (None, None)
     held = [free] * size if texture is None else [(value, value) for value in texture]
     bounds = held + [free] * (len(start) - size)

@@ -147,7 +147,7 @@ def fit_photographs(
     found = [_with_gaze(model, *item, shape) for item in zip(found, photographs, range(len(found)), strict=True)]
     for blur_mm in SKIN_BLURS_MM:
         found = [replace(item, skin=_skin(model, shape, i, seen[i], looks[i], blur_mm)) for i, item in enumerate(found)]
-        shape = fit_shape(model, found, table, shape, identity, one_camera)
+        shape = fit_shape(model, found, table, shape, identity, texture, one_camera)
         seen, looks = _with_looks(model, photographs, shape, texture)
     cut = _hair(model, photographs, shape, looks) if hair else np.zeros(0, np.float32)
     return [
@@ -204,7 +204,7 @@ def _skin(
     codes = Codes(shape.identity, picture.expression, *looks)
     with Rasterizer((seen.camera.width, seen.camera.height), 2) as rasterizer:
         drawn = rasterizer.render_lit(model.mesh(codes, picture.gaze), codes.illumination, seen.camera)
-    return seen_skin(seen, drawn.image, blur_mm, _to_seen(picture.camera, seen.camera))
+    return seen_skin(model, seen, looks, drawn.image, blur_mm, _to_seen(picture.camera, seen.camera))
 
 
 def _to_seen(whole: Camera, part: Camera) -> np.ndarray:
@@ -246,7 +246,7 @@ def _with_eyes(
         eyes = find_eyes(photograph.pixels, photograph.landmarks, picture.camera, centres, radius, mesh)
         lids = [picture.projected[list(some)].mean(axis=0) if some else np.full(2, np.nan) for some in rows]
         better.append(item.with_eyes(eyes.irises, SeenOpenings(rows, np.stack(lids) + eyes.moves), None))
-    return fit_shape(model, better, table, fitted, identity, one_camera), better
+    return fit_shape(model, better, table, fitted, identity, one_camera=one_camera), better
 
 
 def _lid_rows(table: LandmarkTable, dense: bool) -> tuple[tuple[int, ...], tuple[int, ...]]:

@@ -30,13 +30,16 @@ STYLES: tuple[dict[str, float], ...] = (
     {"crop": 0.5}, {"crop": 1.0}, {"crop": 0.8, "top": 0.8}, {"crop": 0.8, "round": 0.6}, {"crop": 0.8, "fringe": 1.0},
     {"crop": 0.5, "top": 0.6, "fringe": 1.0}, {"crop": 0.4, "round": 0.6, "fringe": 1.0}, {"crop": 0.4, "bob": 1.0},
     {"crop": 0.4, "bob": 1.0, "fringe": 1.0}, {"crop": 0.5, "round": 0.6, "bob": 0.8},
-    {"crop": 0.5, "round": 0.6, "bob": 0.8, "fringe": 1.0}, {"crop": 0.4, "bob": 1.0, "long": 1.0},
+    {"crop": 0.5, "round": 0.6, "bob": 0.8, "fringe": 1.0}, {"crop": 0.4, "short_bob": 1.0},
+    {"crop": 0.4, "short_bob": 1.0, "round": 0.6}, {"crop": 0.4, "short_bob": 1.0, "fringe": 1.0},
+    {"crop": 0.4, "short_bob": 1.0, "round": 0.6, "fringe": 1.0}, {"crop": 0.4, "bob": 1.0, "long": 1.0},
     {"crop": 0.4, "bob": 1.0, "long": 1.0, "fringe": 1.0},
 )  # fmt: skip
 """Where the search begins."""
 
 RANGES = {"crop": (0.0, 1.6), "top": (0.0, 1.8), "round": (0.0, 1.6), "fringe": (0.0, 1.4), "bob": (0.0, 1.6),
-          "long": (0.0, 1.3), "parting": (-1.0, 1.0), "beard": (0.0, 1.5)}  # fmt: skip
+          "long": (0.0, 1.3), "parting": (-1.0, 1.0), "beard": (0.0, 1.5),
+          "short_bob": (0.0, 1.6)}  # fmt: skip
 """The codes that outlines tell, and between what they are looked for; curls are not."""
 
 STEPS = (0.4, 0.2, 0.1)

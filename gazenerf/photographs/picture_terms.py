@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -14,6 +15,7 @@ from gazenerf.head_model.generic import METRES_PER_UNIT
 from gazenerf.head_model.points import double
 from gazenerf.photographs.correspondence import LandmarkTable, pose_features
 from gazenerf.photographs.landmarks import FaceLandmarks
+from gazenerf.photographs.lit_skin import LitSkin
 
 DISTANCE_M, DISTANCE_DEVIATION = 1.1, 0.35
 """Median of the distance from which people are photographed, and the standard deviation of its logarithm."""
@@ -27,7 +29,7 @@ OPENING_MM = 0.35
 ROBUST_GAZE = 2.0
 """Deviations from which on a gaze that a network reads counts less and less: now and then it is far off."""
 
-SKIN_WEIGHT = 500.0
+SKIN_WEIGHT = 1000.0
 """How many independent pixels all vertices together count as: neighbours err alike."""
 
 MM_PER_UNIT = 1000.0 * METRES_PER_UNIT
@@ -83,26 +85,45 @@ class SeenSkin:
     """Pixels of the skin that the fitted head is to lie over.
 
     Attributes:
-        vertices: (N,) of the skin.
-        colours: (N, 3) sRGB from 0 to 1, as the fitted head shows them, blurred like `picture`.
+        skin: N vertices of it.
+        texture, light: (T,) and (27,) codes that it was drawn with.
+        colours: (N, 3) sRGB from 0 to 1, as it was drawn, blurred like `picture`.
         picture: (1, 3, H, W) float64 the part of the photograph around the face, blurred.
         to_picture: (2, 2) factor and shift per axis from the photograph's pixels to those of `picture`.
         deviation: sRGB, what a colour may miss.
     """
 
-    vertices: np.ndarray
+    skin: LitSkin
+    texture: np.ndarray
+    light: np.ndarray
     colours: torch.Tensor
     picture: torch.Tensor
     to_picture: np.ndarray
     deviation: float
 
-    def cost(self, pixels: torch.Tensor) -> torch.Tensor:
-        """Robust squares of how far the head's colours are from those of the photograph's pixels (N, 2) they lie on."""
+    def lit(self, places: torch.Tensor, texture: torch.Tensor, light: torch.Tensor) -> torch.Tensor:
+        """(N, 3) sRGB from 0 to 1 of the vertices, blurred like `picture`, at other places, texture and light.
+
+        How they change is told of the vertices themselves: blur goes over little of a face.
+
+        Args:
+            places: (3, N, 3) of `skin.vertices`.
+            texture, light: (T,) and (27,).
+        """
+        return self.colours + self.skin.colours(places, texture, light) - self._before
+
+    @cached_property
+    def _before(self) -> torch.Tensor:
+        """(N, 3) the vertices' own colours as they were drawn."""
+        return self.skin.lit.colours(self.skin.drawn_normals, double(self.texture), double(self.light))
+
+    def cost(self, pixels: torch.Tensor, colours: torch.Tensor) -> torch.Tensor:
+        """Robust squares of how far colours (N, 3) are from those of the photograph's pixels (N, 2) they lie on."""
         factor, shift = double(self.to_picture)
         height, width = self.picture.shape[2:]
         at = 2.0 * (pixels * factor + shift) / double([width, height]) - 1.0
         seen = F.grid_sample(self.picture, at[None, None], mode="bilinear", padding_mode="border", align_corners=False)
-        miss = (seen[0, :, 0].T - self.colours) / self.deviation
+        miss = (seen[0, :, 0].T - colours) / self.deviation
         return SKIN_WEIGHT * ((1.0 + miss.square()).sqrt() - 1.0).sum(dim=1).mean()
 
 
@@ -262,11 +283,19 @@ class PictureTerms:
         miss = (picture.gaze - double(np.array([seen.pitch, seen.yaw]))) / double(np.array(seen.deviations))
         return ROBUST_GAZE**2 * (miss.square().sum() / ROBUST_GAZE**2).log1p()
 
-    def skin_cost(self, picture: PictureParameters, points: torch.Tensor) -> torch.Tensor:
-        """Robust squares of how far colours of the skin's vertices (N, 3) are from those of their pixels."""
-        if self.observed.skin is None:
-            return torch.zeros((), dtype=torch.float64)
-        return self.observed.skin.cost(self.project(picture, points))
+    def skin_cost(
+        self, picture: PictureParameters, places: torch.Tensor, texture: torch.Tensor, light: torch.Tensor
+    ) -> torch.Tensor:
+        """Robust squares of how far colours of the skin's vertices are from those of their pixels.
+
+        Args:
+            picture: Where they are seen.
+            places: (3, N, 3) of `LitSkin.vertices`.
+            texture, light: (T,) and (27,) that they are seen with.
+        """
+        seen = self.observed.skin
+        assert seen is not None
+        return seen.cost(self.project(picture, places[0]), seen.lit(places, texture, light))
 
     def distance_cost(self, picture: PictureParameters) -> torch.Tensor:
         """Squares of the distance's and, where it is known, the focal length's deviation from what is expected."""

@@ -9,26 +9,36 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from gazenerf.head_model.interface import FACE
+from gazenerf.head_model.interface import FACE, HeadModel
 from gazenerf.head_model.points import double
 from gazenerf.photographs.appearance import FACING, Seen, nearest_pixels, seen_vertices, skin_mask
+from gazenerf.photographs.lit_skin import LitSkin
 from gazenerf.photographs.picture_terms import SeenSkin
 
 BROWS, OVER_BROWS = range(17, 27), 0.03
 """Landmarks along the brows, and how far above them, world units, skin is looked at: higher up it may be hair."""
 
-VERTICES = 700
-"""Vertices that are compared, of all that a photograph shows."""
+VERTICES, LEAST_VERTICES = 1400, 700
+"""Vertices that are compared, of all that a photograph shows, and the fewest with which anything is."""
 
 LEAST_DEVIATION, SPREAD = 0.02, 1.5
 """sRGB: what a pixel may miss is at least this, and so many times what the head misses as it was fitted (median)."""
 
 
-def seen_skin(seen: Seen, drawn: np.ndarray, blur_mm: float, photograph_scale: np.ndarray) -> SeenSkin | None:
+def seen_skin(
+    model: HeadModel,
+    seen: Seen,
+    looks: tuple[np.ndarray, np.ndarray],
+    drawn: np.ndarray,
+    blur_mm: float,
+    photograph_scale: np.ndarray,
+) -> SeenSkin | None:
     """The skin that a photograph shows of a fitted head, and the colours that it is expected to have.
 
     Args:
+        model: The head model.
         seen: The part of the photograph that is worked on, with the fitted head.
+        looks: (T,) and (27,) texture and light codes that it is drawn with.
         drawn: (H, W, 3) uint8: the head, textured and lit, drawn over it.
         blur_mm: Standard deviation of the blur that both get, at the eyes.
         photograph_scale: (2, 2) factor and shift per axis from the photograph's pixels to those of `seen`.
@@ -42,7 +52,7 @@ def seen_skin(seen: Seen, drawn: np.ndarray, blur_mm: float, photograph_scale: n
     on_skin[seen.mesh.part_faces(FACE)] = True
     below = seen.mesh.vertices[:, 1] < max(seen.mesh.landmarks[str(i)][1] for i in BROWS) + OVER_BROWS
     chosen = np.flatnonzero(visible & on_skin & below & (cosine > FACING) & skin_mask(seen)[row, column])
-    if len(chosen) < VERTICES:
+    if len(chosen) < LEAST_VERTICES:
         return None
     vertices = np.sort(np.random.default_rng(0).permutation(chosen)[:VERTICES])
     spread = blur_mm * seen.landmarks.interocular / 63.0
@@ -58,5 +68,6 @@ def seen_skin(seen: Seen, drawn: np.ndarray, blur_mm: float, photograph_scale: n
     )
     deviation = max(LEAST_DEVIATION, SPREAD * float(np.median(np.abs(shown - expected))))
     return SeenSkin(
-        vertices, double(expected), double(photograph.transpose(2, 0, 1)[None]), photograph_scale, deviation
-    )
+        LitSkin.of(model, seen.mesh, vertices), *looks, double(expected),
+        double(photograph.transpose(2, 0, 1)[None]), photograph_scale, deviation,
+    )  # fmt: skip

@@ -6,9 +6,11 @@ Each picture has a camera, a gaze and an expression of its own; all share one id
   that the table tells for this pose, gaze and identity, and a combination of its error components, whose amounts are
   fitted with unit variance (docs/photos.md);
 - residuals of irises and of openings of the eyes that were found in the pixels;
-- robust differences between the colours of the skin as fitted and those of the pixels that it lies on;
+- robust differences between the colours of the skin, drawn with texture and light that are fitted as well, and those of
+  the pixels that it lies on;
 - how far the gaze is from what a network reads off the picture, robust as well;
-- squares of identity, expression, gaze and the logarithm of the distance, in units of their prior's deviation;
+- squares of identity, expression, gaze, texture, light and the logarithm of the distance, in units of their prior's
+  deviation;
 - where one camera took all pictures, squares of how far their focal lengths lie apart.
 
 Focal length and distance are all but exchangeable in one picture; what decides is the prior of the distance, which
@@ -29,6 +31,7 @@ from gazenerf.head_model.eyes import CORNEA_BULGE
 from gazenerf.head_model.interface import HeadModel
 from gazenerf.head_model.points import SkinPoints, double
 from gazenerf.photographs.correspondence import LandmarkTable
+from gazenerf.photographs.looks import LookPriors
 from gazenerf.photographs.picture_terms import (
     DISTANCE_DEVIATION,
     Observed,
@@ -52,8 +55,8 @@ POSE_STEPS, STEPS, MORE_STEPS = 60, 180, 90
 ONE_FOCAL_DEVIATION = 0.01
 """Of the logarithm of a focal length, among pictures of one camera."""
 
-EXPRESSION_UNIT = 0.1
-"""A step of an expression coefficient for the minimiser."""
+EXPRESSION_UNIT, LOOK_UNITS = 0.1, (0.3, 0.05)
+"""Steps of an expression coefficient, and of texture and light codes, for the minimiser."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +104,7 @@ def fit_shape(
     table: LandmarkTable,
     start: ShapeFit | None = None,
     identity: np.ndarray | None = None,
+    texture: np.ndarray | None = None,
     one_camera: bool = False,
 ) -> ShapeFit:
     """Fit one person in one or several pictures.
@@ -111,10 +115,10 @@ def fit_shape(
         table: For this model and these landmarks.
         start: A fit of these pictures, or of the frames before them, to begin with; else the mean head is turned to the
             landmarks first.
-        identity: (I,) where it is known and only the rest is fitted.
+        identity, texture: (I,) and (T,) where they are known and only the rest is fitted.
         one_camera: The pictures have one focal length.
     """
-    problem = _Problem(model, observed, table, identity is not None, one_camera)
+    problem = _Problem(model, observed, table, (identity is not None, texture is not None), one_camera)
     values = problem.values(start) if start is not None else problem.posed()
     if identity is not None:
         values[: len(identity)] = identity
@@ -124,14 +128,14 @@ def fit_shape(
 
 class _Problem:
     """The cost and its parameters, one flat vector: identity; then rotation, place, scale, distance, gaze, expression
-    and error components of each picture."""
+    and error components of each picture; then, where skin is compared, texture and each picture's light."""
 
     def __init__(
         self,
         model: HeadModel,
         observed: Sequence[Observed],
         table: LandmarkTable,
-        known: bool = False,
+        known: tuple[bool, bool] = (False, False),
         one_camera: bool = False,
     ) -> None:
         self.known, self.one_camera = known, one_camera and len(observed) > 1
@@ -144,28 +148,42 @@ class _Problem:
         self.jaw = np.array([name == "jawOpen" for name in model.expression_names])
         self.per_picture = 9 + self.sizes[1] + self.sizes[2]
         self.terms = [PictureTerms(item, table, self.points.radius) for item in self.observed]
-        self.skins = [None if item.skin is None else model.skin_points(item.skin.vertices) for item in self.observed]
+        self.skins = [
+            None if item.skin is None else model.skin_points(item.skin.skin.vertices.ravel()) for item in self.observed
+        ]
+        self.priors = LookPriors.of(model) if any(self.skins) else None
 
     def parts(self, values: torch.Tensor) -> tuple[torch.Tensor, list[PictureParameters]]:
         identities, expressions, _ = self.sizes
-        pictures = values[identities:].reshape(len(self.observed), self.per_picture)
+        end = identities + len(self.observed) * self.per_picture
+        pictures = values[identities:end].reshape(len(self.observed), self.per_picture)
         return values[:identities], [
             PictureParameters(p[:3], p[3:5], p[5], p[6], p[7:9], p[9 : 9 + expressions], p[9 + expressions :])
             for p in pictures
         ]
 
+    def looks(self, values: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Texture (T,) and lights (P, 27), both empty where no skin is compared."""
+        looks = values[self.sizes[0] + len(self.observed) * self.per_picture :]
+        lights = len(looks) and 27 * len(self.observed)
+        return looks[: len(looks) - lights], looks[len(looks) - lights :].reshape(len(self.observed), -1)
+
     def cost(self, values: torch.Tensor) -> torch.Tensor:
         identity, pictures = self.parts(values)
+        texture, lights = self.looks(values)
         total = (identity / IDENTITY_DEVIATION).square().sum()
         seen = double(self.deviation).clamp(min=1e-6)
-        for picture, terms, skin in zip(pictures, self.terms, self.skins, strict=True):
+        if self.priors is not None:
+            total = total + self.priors.cost(texture, lights)
+        for picture, terms, skin, light in zip(pictures, self.terms, self.skins, lights, strict=True):
             centres, points = self.points.eye_centres(identity), self.marks(identity, picture)
             total = total + terms.landmark_cost(picture, points, identity) + terms.iris_cost(picture, centres)
             total = total + (picture.expression / seen).square().sum() + picture.errors.square().sum()
             total = total + (picture.gaze / double(GAZE_DEVIATION)).square().sum() + terms.gaze_cost(picture)
             total = total + terms.distance_cost(picture) + terms.openings_cost(picture, points)
             if skin is not None:
-                total = total + terms.skin_cost(picture, skin(identity, picture.expression, picture.gaze))
+                places = skin(identity, picture.expression, picture.gaze).reshape(3, -1, 3)
+                total = total + terms.skin_cost(picture, places, texture, light)
         if self.one_camera:
             focal = torch.stack([t.transform(p)[2] for t, p in zip(self.terms, pictures, strict=True)]).log()
             total = total + ((focal - focal.mean()) / ONE_FOCAL_DEVIATION).square().sum()
@@ -199,7 +217,9 @@ class _Problem:
         """A step of each parameter that matters about as much as one of any other."""
         pose = [0.01, 0.01, 0.01, 0.002, 0.002, 0.01, DISTANCE_DEVIATION, 0.05, 0.05]
         single = np.concatenate([pose, np.full(self.sizes[1], EXPRESSION_UNIT), np.ones(self.sizes[2])])
-        return np.concatenate([np.full(self.sizes[0], 0.3), np.tile(single, len(self.observed))])
+        shape = np.concatenate([np.full(self.sizes[0], 0.3), np.tile(single, len(self.observed))])
+        looks = [np.full(part.shape, unit) for part, unit in zip(self.drawn_looks(), LOOK_UNITS, strict=True)]
+        return np.concatenate([shape, *looks])
 
     def bounds(self, values: np.ndarray, pose_only: bool) -> list[tuple[float | None, float | None]]:
         """Expressions from 0 to 1, what is not seen or not wanted where it is."""
@@ -210,13 +230,15 @@ class _Problem:
                 bounds[first : first + 6] = [(None, None)] * 6
             return bounds
         free: list[tuple[float | None, float | None]] = [(None, None)]
-        bounds = [(value, value) for value in values[: self.sizes[0]]] if self.known else free * self.sizes[0]
+        bounds = [(value, value) for value in values[: self.sizes[0]]] if self.known[0] else free * self.sizes[0]
         for observed in self.observed:
             most = np.where(self.deviation > 0.0, 1.0, 0.0)
             if observed.teeth_shut:
                 most = np.where(self.jaw, JAW_OF_SHUT_TEETH, most)
             bounds += free * 9 + [(0.0, float(value)) for value in most / EXPRESSION_UNIT] + free * self.sizes[2]
-        return bounds
+        looks = values[len(bounds) :]
+        held = len(self.drawn_looks()[0]) if self.known[1] else 0
+        return bounds + [(value, value) for value in looks[:held]] + free * (len(looks) - held)
 
     def posed(self) -> np.ndarray:
         """The mean head turned to each picture's landmarks."""
@@ -241,7 +263,16 @@ class _Problem:
             single[7:9] = picture.gaze.pitch, picture.gaze.yaw
             single[9:] = np.concatenate([picture.expression, picture.errors])
             values.append(single)
-        return np.concatenate(values)
+        return np.concatenate([*values, *self.drawn_looks()])
+
+    def drawn_looks(self) -> tuple[np.ndarray, np.ndarray]:
+        """(T,) texture and flat lights (27P,) that the skin was drawn with, both empty where none is compared."""
+        if self.priors is None:
+            return np.zeros(0), np.zeros(0)
+        drawn = [item.skin for item in self.observed]
+        texture = next(skin.texture for skin in drawn if skin is not None)
+        usual = self.priors.light_mean.numpy()
+        return np.asarray(texture), np.concatenate([usual if skin is None else skin.light for skin in drawn])
 
     def fit(self, values: np.ndarray, cost: float) -> ShapeFit:
         identity, pictures = self.parts(double(values))

@@ -83,7 +83,7 @@ def test_hair_that_is_not_raised_stays_under_the_skin_whatever_the_face_does() -
 @pytest.mark.parametrize(
     ("code", "where"),
     [("crop", [0.0, 1.1, -0.3]), ("top", [0.0, 1.1, 0.0]), ("round", [0.0, 0.6, -1.0]), ("fringe", [0.0, 0.6, 1.0]),
-     ("bob", [0.9, -0.2, -0.1]), ("beard", [0.0, -1.0, 1.0])],
+     ("bob", [0.9, -0.2, -0.1]), ("short_bob", [0.9, 0.0, -0.1]), ("beard", [0.0, -1.0, 1.0])],
 )  # fmt: skip
 def test_each_code_raises_hair_where_its_name_says(code: str, where: list[float]) -> None:
     toward = np.array(where)
@@ -155,9 +155,28 @@ def test_drawn_cuts_are_plausible_and_come_from_the_generator_alone() -> None:
     assert bearded
 
 
-def test_codes_of_another_size_are_refused(tmp_path: Path) -> None:
+def test_a_short_bob_covers_the_ears_and_leaves_what_is_below_them_free() -> None:
+    below = {}
+    for name in ("bob", "short_bob"):
+        mesh = head(hair=cut(crop=0.4, **{name: 1.0}))
+        places = mesh.vertices[np.unique(mesh.part_faces(HAIR))]
+        beside = np.abs(places[:, 0]) > 0.85  # as far out as ears reach
+        assert places[beside, 1].max() > 0.0
+        below[name] = places[beside, 1].min()
+    assert below["bob"] < -0.7 < -0.45 < below["short_bob"]
+
+
+def test_codes_of_before_a_cut_was_added_are_the_same_head() -> None:
     model = load_head_model()
-    codes = Codes(*(np.zeros(size) for size in model.code_sizes), np.ones(4))
+    person = sample_person(np.random.default_rng(1), model)
+    whole = cut(crop=0.5, bob=1.0, beard=0.7)
+    before = model.mesh(replace(person, hair=whole[: model.hair_names.index("short_bob")]), Gaze())
+    np.testing.assert_array_equal(before.vertices, model.mesh(replace(person, hair=whole), Gaze()).vertices)
+
+
+def test_longer_codes_are_refused(tmp_path: Path) -> None:
+    model = load_head_model()
+    codes = Codes(*(np.zeros(size) for size in model.code_sizes), np.ones(len(model.hair_names) + 1))
     with pytest.raises(UserError, match="hair codes"):
         model.mesh(codes, Gaze())
 

@@ -54,7 +54,7 @@ class CodeSlider:
         if self.code == "illumination":
             return float(codes.illumination.reshape(9, 3)[self.index].mean())
         values = getattr(codes, self.code)
-        return float(np.format_float_positional(values[self.index])) if values.size else 0.0
+        return float(np.format_float_positional(values[self.index])) if self.index < values.size else 0.0
 
     def set(self, codes: Codes, value: float) -> Codes:
         """The codes with another value.
@@ -65,8 +65,8 @@ class CodeSlider:
         if not np.isfinite(value):
             raise ValueError(f"{self.label} must be a finite number")
         changed = np.array(getattr(codes, self.code))
-        if self.code == HAIR and not changed.size:
-            changed = np.zeros(len(load_head_model().hair_names), np.float32)
+        if self.code == HAIR:
+            changed = np.pad(changed, (0, len(load_head_model().hair_names) - len(changed)))
         if self.code == "illumination":
             rows = changed.reshape(9, 3)
             rows[self.index] += value - rows[self.index].mean()
