@@ -38,7 +38,7 @@ WORKING_INTEROCULAR = 120.0
 EYE_ROUNDS = 2
 """How often the eyes are looked for, each time with the head as it was fitted before."""
 
-SKIN_BLURS_MM = (2.5, 1.2, 0.8)
+SKIN_BLURS_MM = (2.5, 1.2, 0.8, 0.5, 0.5)
 """The skin's pixels are compared as often as this has entries, photograph and head blurred by so much."""
 
 MARGIN, ABOVE = 2.2, 3.0

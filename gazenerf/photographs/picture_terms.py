@@ -29,8 +29,12 @@ OPENING_MM = 0.35
 ROBUST_GAZE = 2.0
 """Deviations from which on a gaze that a network reads counts less and less: now and then it is far off."""
 
-SKIN_WEIGHT = 1000.0
-"""How many independent pixels all vertices together count as: neighbours err alike."""
+SKIN_WEIGHT = 2000.0
+"""How many independent pixels all vertices together count as where the head misses no more than `LEAST_DEVIATION`."""
+
+LEAST_DEVIATION, FEWER = 0.02, 2.0
+"""sRGB: what a pixel of skin may miss at least; and the power of this over what it may miss by which the count of
+pixels falls: what a head model cannot draw, it misses alike over much of a face."""
 
 MM_PER_UNIT = 1000.0 * METRES_PER_UNIT
 
@@ -124,7 +128,8 @@ class SeenSkin:
         at = 2.0 * (pixels * factor + shift) / double([width, height]) - 1.0
         seen = F.grid_sample(self.picture, at[None, None], mode="bilinear", padding_mode="border", align_corners=False)
         miss = (seen[0, :, 0].T - colours) / self.deviation
-        return SKIN_WEIGHT * ((1.0 + miss.square()).sqrt() - 1.0).sum(dim=1).mean()
+        count = SKIN_WEIGHT * (LEAST_DEVIATION / self.deviation) ** FEWER
+        return count * ((1.0 + miss.square()).sqrt() - 1.0).sum(dim=1).mean()
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from gazenerf.head_model.interface import FACE, HeadModel
 from gazenerf.head_model.points import double
 from gazenerf.photographs.appearance import FACING, Seen, nearest_pixels, seen_vertices, skin_mask
 from gazenerf.photographs.lit_skin import LitSkin
-from gazenerf.photographs.picture_terms import SeenSkin
+from gazenerf.photographs.picture_terms import LEAST_DEVIATION, SeenSkin
 
 BROWS, OVER_BROWS = range(17, 27), 0.03
 """Landmarks along the brows, and how far above them, world units, skin is looked at: higher up it may be hair."""
@@ -21,8 +21,8 @@ BROWS, OVER_BROWS = range(17, 27), 0.03
 VERTICES, LEAST_VERTICES = 1400, 700
 """Vertices that are compared, of all that a photograph shows, and the fewest with which anything is."""
 
-LEAST_DEVIATION, SPREAD = 0.02, 1.5
-"""sRGB: what a pixel may miss is at least this, and so many times what the head misses as it was fitted (median)."""
+SPREAD = 1.5
+"""What a pixel may miss is so many times what the head misses as it was fitted (median), and `LEAST_DEVIATION`."""
 
 
 def seen_skin(
