@@ -42,6 +42,11 @@ RANGES = {"crop": (0.0, 1.6), "top": (0.0, 1.8), "round": (0.0, 1.6), "fringe": 
           "short_bob": (0.0, 1.6)}  # fmt: skip
 """The codes that outlines tell, and between what they are looked for; curls are not."""
 
+SHORT = "short_bob"
+OTHER_ENDS = {True: ("bob", "long"), False: (SHORT,)}
+"""Where hair that begins with a short bob is looked for, or with none, the codes that stay as they are: hair has one
+lower end, and a little of a longer cut would make a short one wider."""
+
 STEPS = (0.4, 0.2, 0.1)
 
 INSIDE, BELOW_CHIN = 0.6, 0.2
@@ -136,7 +141,9 @@ def fit_hair(
         hair = hair_code(model.hair_names, style)
         if (found := cost(hair)) < least:
             best, least = hair, found
-    fitted = {name: ends for name, ends in RANGES.items() if name in index and (name != "beard" or wanted.bearded)}
+    held = OTHER_ENDS[bool(best[index[SHORT]])] if SHORT in index else ()
+    held = held if wanted.bearded else (*held, "beard")
+    fitted = {name: ends for name, ends in RANGES.items() if name in index and name not in held}
     for step in STEPS:
         for name, (low, high) in fitted.items():
             for sign in (1.0, -1.0):
