@@ -350,8 +350,12 @@ def measured(photograph: Photograph, coarse: PictureFit, picture: PictureFit, fo
 
 
 def face_psnr(seen: Seen, drawn: np.ndarray) -> float | None:
-    """dB of the drawn head against the photograph inside the face oval; None where nothing of it is drawn."""
-    inside = face_oval(seen.landmarks, drawn.shape[:2]) & (seen.raster.parts > 0)
+    """dB of the drawn head against the photograph inside the face oval; None where nothing of it is drawn.
+
+    Pixels that touch its outline are left out: what is drawn of them is background in part.
+    """
+    covered = cv2.erode((seen.raster.parts > 0).astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=1) > 0
+    inside = face_oval(seen.landmarks, drawn.shape[:2]) & covered
     return float(psnr(drawn[inside] / 255.0, seen.image[inside] / 255.0)) if inside.any() else None
 
 
