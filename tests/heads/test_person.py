@@ -99,9 +99,9 @@ def test_a_head_like_another_draws_the_same_picture(field: TwoStreamField, jana:
     "codes",
     [
         Codes(*(np.zeros(size, np.float32) for size in (3, 3, 3, 27))),
-        replace(load_subject("jana").codes, hair=np.ones(3, np.float32)),
+        replace(load_subject("jana").codes, hair=np.ones(40, np.float32)),
     ],
-    ids=["another head model", "other hair codes"],
+    ids=["another head model", "more hair codes"],
 )
 def test_of_people_of_other_head_models_nothing_is_known(codes: Codes) -> None:
     assert all(thing(Person(codes, 0.0), name) is None for name in THINGS)
