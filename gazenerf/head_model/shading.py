@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from gazenerf.head_model.eyes import reflecting_normals
@@ -22,21 +24,22 @@ def spherical_harmonics(directions: np.ndarray) -> np.ndarray:
     Order: 1; y, z, x; xy, yz, 3z^2 - 1, xz, x^2 - y^2, with their usual constants.
     """
     x, y, z = np.moveaxis(np.asarray(directions), -1, 0)
-    one = np.ones_like(x)
-    return np.stack(
-        [
-            0.282095 * one,
-            0.488603 * y,
-            0.488603 * z,
-            0.488603 * x,
-            1.092548 * x * y,
-            1.092548 * y * z,
-            0.315392 * (3.0 * z * z - 1.0),
-            1.092548 * x * z,
-            0.546274 * (x * x - y * y),
-        ],
-        axis=-1,
-    )
+    return np.stack(harmonic_terms(x, y, z, np.ones_like(x)), axis=-1)
+
+
+def harmonic_terms(x: Any, y: Any, z: Any, one: Any) -> list[Any]:
+    """The nine functions of `spherical_harmonics` of coordinates, numpy arrays or tensors; `one` is 1 of their kind."""
+    return [
+        0.282095 * one,
+        0.488603 * y,
+        0.488603 * z,
+        0.488603 * x,
+        1.092548 * x * y,
+        1.092548 * y * z,
+        0.315392 * (3.0 * z * z - 1.0),
+        1.092548 * x * z,
+        0.546274 * (x * x - y * y),
+    ]
 
 
 def irradiance(normals: np.ndarray, illumination: np.ndarray) -> np.ndarray:

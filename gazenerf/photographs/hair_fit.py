@@ -42,10 +42,9 @@ RANGES = {"crop": (0.0, 1.6), "top": (0.0, 1.8), "round": (0.0, 1.6), "fringe": 
           "short_bob": (0.0, 1.6)}  # fmt: skip
 """The codes that outlines tell, and between what they are looked for; curls are not."""
 
-SHORT = "short_bob"
-OTHER_ENDS = {True: ("bob", "long"), False: (SHORT,)}
-"""Where hair that begins with a short bob is looked for, or with none, the codes that stay as they are: hair has one
-lower end, and a little of a longer cut would make a short one wider."""
+SHORT, LONGER = "short_bob", ("bob", "long")
+"""Where the search begins with the first, the others stay as they are, and where it does not, that one does: hair has
+one lower end, and a little of a longer cut would make a short one wider."""
 
 STEPS = (0.4, 0.2, 0.1)
 
@@ -141,7 +140,7 @@ def fit_hair(
         hair = hair_code(model.hair_names, style)
         if (found := cost(hair)) < least:
             best, least = hair, found
-    held = OTHER_ENDS[bool(best[index[SHORT]])] if SHORT in index else ()
+    held = LONGER if SHORT in index and best[index[SHORT]] else (SHORT,)
     held = held if wanted.bearded else (*held, "beard")
     fitted = {name: ends for name, ends in RANGES.items() if name in index and name not in held}
     for step in STEPS:

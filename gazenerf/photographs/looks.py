@@ -6,6 +6,7 @@ decides is how the head model's own sampler draws them.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ import torch
 from gazenerf.head_model.interface import HeadModel
 from gazenerf.head_model.points import double
 from gazenerf.head_model.sampling import sample_person
-from gazenerf.head_model.shading import LOBE
+from gazenerf.head_model.shading import LOBE, harmonic_terms
 
 SAMPLES = 400
 """People by whom the codes' distribution is told."""
@@ -32,6 +33,7 @@ class LookPriors(NamedTuple):
     light_precision: torch.Tensor
 
     @staticmethod
+    @lru_cache(maxsize=1)  # a fit asks eleven times
     def of(model: HeadModel) -> LookPriors:
         """By the head model's own sampler."""
         rng = np.random.default_rng(0)
@@ -83,8 +85,4 @@ class LitVertices(NamedTuple):
 def harmonics(directions: torch.Tensor) -> torch.Tensor:
     """`gazenerf.head_model.shading.spherical_harmonics` in torch: (N, 9) at unit directions (N, 3)."""
     x, y, z = directions.unbind(dim=-1)
-    terms = [
-        0.282095 * torch.ones_like(x), 0.488603 * y, 0.488603 * z, 0.488603 * x, 1.092548 * x * y, 1.092548 * y * z,
-        0.315392 * (3.0 * z * z - 1.0), 1.092548 * x * z, 0.546274 * (x * x - y * y),
-    ]  # fmt: skip
-    return torch.stack(terms, dim=-1)
+    return torch.stack(harmonic_terms(x, y, z, torch.ones_like(x)), dim=-1)
